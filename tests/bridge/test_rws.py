@@ -241,7 +241,7 @@ def test_a_controller_that_is_gone_at_the_end_is_a_warning(tmp_path: Path) -> No
         running = RapidRun(served.host).running([6511], lambda text, warn=False, each=False: told.append((text, warn)))
         running.__enter__()
     running.__exit__(None, None, None)
-    assert told[-1][0].startswith("RAPID may still run")
+    assert told[-1][0].startswith("RAPID may still be running")
     assert told[-1][1]
 
 

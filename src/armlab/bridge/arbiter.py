@@ -44,7 +44,7 @@ class Order(NamedTuple):
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Return the command of an order, and the error text or ""; one invalid number makes the whole order invalid."""
+    """Return the command of an order, and an error text ("" if valid); one invalid number invalidates the order."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)
@@ -62,7 +62,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
 
 
 def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return one vector (n,) of a command, and the error text or ""."""
+    """Return one vector (n,) of a command, and an error text ("" if the vector is valid)."""
     values = getattr(order, name)
     if values is None:
         return None, ""
@@ -81,10 +81,10 @@ def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, s
 
 
 LEASE = 0.1
-"""Silence of the commanding client after which an arm is free [s], the same for all servers."""
+"""Duration of silence [s] after which a commanding client loses its arm; the same for all servers."""
 
 Result = tuple[str, str, str]
-"""Status of a goal ("executing", "succeeded", "canceled" or "aborted"), kind of end of its trajectory, and reason."""
+"""Status of a goal ("executing", "succeeded", "canceled" or "aborted"), outcome of its trajectory, and reason."""
 
 _RESULTS = 64  # stored results of ended goals, for clients that missed them
 _ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
@@ -103,11 +103,12 @@ class _Holder:
 
 
 class Arbiter:
-    """Controller that forwards the newest command of the commanding client of each arm; a free arm holds.
+    """Controller that forwards the newest command of the commanding client of each arm; a free arm holds its position.
 
     The first valid command of an allowed client takes a free arm. The client keeps the arm by sending commands, and
-    loses it after a silence of `lease` [s], on disconnection, or by `release`. The first position must lie within
-    `entry` of the measured joints. A refused command has no effect. Any client may `stop`; only operators may `resume`.
+    loses it after `lease` seconds of silence, on disconnection, or through `release`. The first position must lie
+    within `entry` of the measured joints. A refused command has no effect. Any client may `stop`; only
+    operators may `resume`.
 
     A trajectory is a single command of long duration: the server renews the lease while the client is connected.
     `on_goal` receives the start and the result of each goal.
@@ -155,7 +156,7 @@ class Arbiter:
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
     def submit(self, order: Order) -> None:
-        """Queue a command for the next tick; only the newest command per client and arm counts."""
+        """Queue a command for the next tick; only the newest command of each client for each arm takes effect."""
         now, why = self._clock(), ""
         self._results.pop((order.client, order.goal), None)  # a client may reuse a goal name
         if order.arm not in self._holders:
@@ -193,7 +194,7 @@ class Arbiter:
             self._on_goal(Order(client, arm, goal=goal), known)
 
     def cancel(self, who: str, arm: str, goal: str) -> None:
-        """Cancel a goal and bring its arm to rest; open to all clients, like `stop`."""
+        """Cancel a goal and bring its arm to rest; any client may do so, as with `stop`."""
         if not goal:
             return
         holder = self._holder(arm)
@@ -210,7 +211,7 @@ class Arbiter:
         self._reserved = who
 
     def stop(self, who: str) -> None:
-        """Hold all arms until an operator calls `resume`; open to all clients."""
+        """Hold all arms until an operator calls `resume`; any client may stop the arms."""
         if not self.stopped:
             self.stopped = who
             self._tell(f"Stopped by {who}. An operator can end the stop with armlab bridge resume.", warn=True)
@@ -274,7 +275,7 @@ class Arbiter:
         return None if holder is None or self._clock() - holder.received_ns > self._lease_ns else holder
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
-        """Activate a command for one lease from its arrival; return False if the command is refused."""
+        """Activate a command for one lease period from its arrival; return False if the command is refused."""
         holder = self._holders[order.arm]
         robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
@@ -320,7 +321,7 @@ class Arbiter:
         return holder.command
 
     def _follow(self, order: Order, trajectory: TrajectoryController, state: State, dt: float) -> Command | None:
-        """Return the next command of a trajectory, or None after its end or if its reference is too far away."""
+        """Return the next command of a trajectory, or None after its end or if its reference is too far off."""
         command, axes = trajectory(state, dt), self._axes[order.arm]
         is_far = command.q is not None and not np.all(
             np.abs(axes(command.q) - axes(_sent(state))) <= self._limits[order.arm].jump

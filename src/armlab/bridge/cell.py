@@ -1,6 +1,7 @@
 """Robot cell: robots, sources, parameters and servers from one TOML file, and the bridge that runs them.
 
-By default, network servers listen only on this computer; the option --listen opens them (`listening`).
+By default, network servers listen only on this computer; the option --listen opens them to other computers, see
+`listening`.
 """
 
 from __future__ import annotations
@@ -55,16 +56,16 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
         found[server] = _address(place)
         if server == "ros1" and found[server] == _ANYWHERE:
             raise ConfigError(
-                f"Expected an address at which other nodes can reach ros1, got --listen {word}. Give its address."
+                f"Expected an address at which other nodes can reach ros1, got --listen {word}. Give that address."
             )
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
-            why = "it needs a secret and encryption. Set both in its table of the cell."
+            why = "it needs a secret and encryption. Set both in its table in the cell file, or remove"
             if GUARDED not in options:
-                why = "it supports neither a secret nor encryption."
+                why = "it supports neither a secret nor encryption. Remove"
             raise ConfigError(
                 f"Expected {server} only on this computer, because `commands` lists it, got --listen {word}: "
-                f"{why} Or remove it from `commands`, or let clients connect through an SSH tunnel."
+                f"{why} it from `commands`, or let clients connect through an SSH tunnel."
             )
     _check_readers(cell, found)
     _check_routers(cell, found)
@@ -83,8 +84,8 @@ def _check_readers(cell: Cell, addresses: Mapping[str, str]) -> None:
         router = cell.servers.get(name, {}).get("router", "")
         if router and not is_here(router) and ipaddress.ip_address(addresses[name]).is_loopback:
             raise ConfigError(
-                f"Expected --listen {name}=ADDRESS too, because its router {router} is on another computer, where "
-                "others can read its rows. Add this option."
+                f"Expected --listen {name}=ADDRESS too, because the router {router} is on another computer, where "
+                "others can read the rows. Add this option."
             )
 
 
@@ -110,7 +111,7 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
 
 
 def _check_master(cell: Cell) -> None:
-    """Raise an error if ROS 1 commands are enabled with a master on another computer, which has no authentication."""
+    """Raise an error if ROS 1 commands are enabled with a master on another computer; masters lack authentication."""
     if "ros1" not in cell.commands:
         return
     master = cell.servers["ros1"]["master"]
@@ -325,7 +326,7 @@ _SIDES = {"left": 7511, "right": 7512}
 
 @dataclass(frozen=True)
 class Cell:
-    """Checked content of a cell file; `extension`, `pace` and `record` as in `connect` and `Link.run`."""
+    """Checked content of a cell file; `extension`, `pace` and `record` are those of `connect` and `Link.run`."""
 
     name: str
     robots: tuple[Robot, ...]
@@ -342,12 +343,12 @@ class Cell:
     text: str = ""  # of the file, stored in recordings
 
     def sources(self) -> list[Source]:
-        """Return new sources, not yet started."""
+        """Return new sources that have not been started."""
         return [_source(name, one) for name, one in self._sources.items()]
 
 
 def parse_cell(text: str, path: str = "cell.toml") -> Cell:
-    """Parse a cell from TOML text; a `ConfigError` of one line contains the path."""
+    """Parse a cell from TOML text; an invalid text raises a one-line `ConfigError` that contains the path."""
     try:
         file = msgspec.convert(parsed(text), File, strict=True)
         return replace(_cell(file), text=text)
@@ -358,7 +359,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
 
 
 def _link(one: RobotTable) -> str:
-    """Return the URL of a link; for a simulated robot, with the options that select the arm."""
+    """Return the URL of a link; the URL of a simulated robot includes the options that select the arm."""
     lock = ",".join(f"{joint}={value!r}" for joint, value in one.lock.items())
     chosen = {name: value for name, value in (("base", one.base), ("tip", one.tip), ("lock", lock)) if value}
     return choosing_arm(one.link, chosen)
@@ -516,7 +517,7 @@ def _line(error: Exception) -> str:
 
 
 def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool]]:
-    """Return (place, value, whether the file sets the value) for all entries, with places such as `robots[0].speed`."""
+    """Return (key path, value, whether the file sets it) for all entries, with key paths such as `robots[0].speed`."""
     parse_cell(text, path)
     raw = parsed(text)
     return list(_values(msgspec.convert(raw, File, strict=True), raw, ""))

@@ -91,7 +91,7 @@ def codec_named(name: str, robot: Robot, extension: bool = False, simulated: boo
 def codecs_of(
     codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, simulated: bool = False
 ) -> list[Codec]:
-    """Return one codec per arm: created by name, or the objects given."""
+    """Return one codec per arm: either a new codec created by name, or the object given."""
     if isinstance(codec, str):
         return [codec_named(codec, robot, extension, simulated) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
@@ -182,13 +182,14 @@ def connect(
         One URL per arm. ``egm://127.0.0.1:6510`` listens for a robot's controller; the default port is 6510, or 6511,
         6512, ... for several arms. ``sim://yumi_right`` starts a simulated robot and stops it with the link. The query
         sets options of armlab sim, such as ``?seed=1&lockstep=true``; only seeds may differ between arms.
-        ``sim://yumi_left+yumi_right`` starts two robots, and ``sim://mine.toml`` the robot described in a file.
+        ``sim://yumi_left+yumi_right`` starts two robots; ``sim://mine.toml`` starts the robot described in that file.
         ``labcomm://host:7511`` connects to a bridge through its LabComm server; ``?order=chain&dialect=2014`` sets the
         options of the port. ``zenoh://host:7447/lab`` connects to a bridge or router over Zenoh;
         ``?ca=lab.pem&secret=commander.secret`` sets the certificate and the client password.
-        ``egm://127.0.0.1:6510?rws=192.168.125.1`` starts RAPID on that ABB controller at the start of each run that has
-        a controller, and stops it at the end; ``&ca=FILE`` or ``&insecure=true`` sets how its certificate is checked.
-        The user and password are read from ``ARMLAB_RWS_USER`` and ``ARMLAB_RWS_PASSWORD``.
+        ``egm://127.0.0.1:6510?rws=192.168.125.1`` starts RAPID on that ABB controller at the start of each run with a
+        Python controller, and stops RAPID at the end. ``&ca=FILE`` or ``&insecure=true`` sets how the certificate of
+        the ABB controller is checked. The user and password are read from ``ARMLAB_RWS_USER`` and
+        ``ARMLAB_RWS_PASSWORD``.
     robot : Robot or sequence of Robot
         The arms, in the order of the URLs.
     codec : str, Codec or sequence of Codec
@@ -272,7 +273,7 @@ def _robots(robot: Any) -> list[Robot]:
 
 
 def _check_simulated(robots: Sequence[Robot], where: Sequence[Address]) -> None:
-    """Raise an error if a simulated arm is unknown or differs in links or mount; tool and calibration may differ."""
+    """Raise an error if a simulated arm is unknown or its links or mount differ; tool and calibration may differ."""
     for robot, address in zip(robots, where, strict=True):
         if address.robot == _SCARA:
             continue
@@ -399,8 +400,8 @@ class Link:
         reconnect : str
             When the robot controller ends a session, "resume" waits for the next one, and "stop" ends the run.
         torque : str
-            Torque commands if the codec lacks the capability "torque": "refuse" ends the run with `CommandRefused`,
-            "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
+            Handling of torque commands if the codec lacks the capability "torque": "refuse" ends the run with
+            `CommandRefused`; "admittance" moves the arm at ``qd = (tau - torque_model(q, qd)) / damping``.
         record : path
             File of the recording; default: rows stay in memory. For the files of several arms, see `recording.paths`.
         extra : mapping
@@ -523,7 +524,7 @@ class Link:
 
 
 def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
-    """Attach the last ten seconds of all arms to the error, if memory allows."""
+    """Attach the rows of the last ten seconds from all arms to the error, if memory allows."""
     with suppress(MemoryError):  # the error matters more than its table
         tails = {arm.robot.name: arm.recording.tail() for arm in arms}
         failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]

@@ -127,7 +127,7 @@ class ControllerStatus:
 
 
 def split_host(text: str) -> tuple[list[str], str]:
-    """Return the possible URLs of a controller, and its name for messages."""
+    """Return the possible URLs of a controller, and the name used for it in messages."""
     if "@" in text:  # not echoed, because it may contain a password
         raise ConfigError(
             f"Expected a controller address without user and password. Remove them from the address and set {USER} "
@@ -210,7 +210,7 @@ _UNVERIFIED = -1  # status of an RwsError if the certificate is not accepted
 
 @cache
 def _transport() -> Any:
-    """Return a `requests` transport that limits time and size of answers and reports errors as sentences."""
+    """Return a `requests` transport that limits the time and size of answers and reports errors as sentences."""
     requests, _ = _packages()
 
     class Transport(requests.adapters.HTTPAdapter):  # type: ignore[misc]
@@ -417,7 +417,7 @@ class AbbController:
 
     @contextmanager
     def mastership(self) -> Iterator[None]:
-        """Hold RAPID mastership, which changes of programs require."""
+        """Hold RAPID mastership, which is required for changing programs."""
         self._post("rw/mastership/rapid?action=request")
         try:
             yield
@@ -500,7 +500,7 @@ class AbbController:
         return found
 
     def _holder(self) -> str:
-        """Return the foreign holder of RAPID mastership, or "" if mastership is free or not reported."""
+        """Return the other client that holds RAPID mastership, or "" if mastership is free or not reported."""
         try:
             states = self._states("rw/mastership/rapid")
         except RwsError as error:
@@ -533,7 +533,7 @@ class AbbController:
 
 
 def _options(states: Any) -> Iterator[str]:
-    """Yield the option names at all depths of an answer."""
+    """Yield the option names at all levels of an answer."""
     for one in states if isinstance(states, list) else []:
         if isinstance(one, dict):
             if "option" in one:
@@ -552,7 +552,7 @@ class SetupStep(NamedTuple):
 def setup_steps(
     controller: AbbController, status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str]
 ) -> list[SetupStep]:
-    """Return the steps that load modules (texts by task) into stopped RAPID; foreign mains are saved and unloaded."""
+    """Return the steps that load modules (texts by task) while RAPID is stopped; save and unload other main modules."""
     steps = []
     for task in tasks:
         module, text = PROGRAMS[task.name][0], modules[task.name]

@@ -78,7 +78,7 @@ class QueueTrimming:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether to skip the reply to this packet: one reply per message queued for three cycles."""
+        """Return whether to skip the reply to this packet; one reply is skipped per message queued for three cycles."""
         before, self._depth = self._depth, depth
         if depth <= 0 and before <= 0:
             return False
@@ -103,7 +103,7 @@ _SILENCE = 0.5  # s of silence after which a session ends
 
 
 class End(NamedTuple):
-    """Port and codec of an arm; `admittance` converts torques to velocities, None sends or refuses torques."""
+    """Port and codec of an arm; `admittance` converts torques to velocities; with None, torques are sent or refused."""
 
     robot: Robot
     port: Port

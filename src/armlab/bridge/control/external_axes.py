@@ -54,7 +54,7 @@ class ExternalReferences:
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback; return the first of consecutive problems, else "".
+        """Check the feedback; return the error text of the first in a series of implausible packets, else "".
 
         Implausible feedback must never become a reference.
         """
@@ -74,7 +74,8 @@ class ExternalReferences:
     def rest(self, packet: Packet) -> Beside | None:
         """Return the measured positions as the external references, for a robot that does not follow references.
 
-        The next commanded position must be near them. A number of axes that differs from the limits disables the axes.
+        The next commanded position must be near these positions. If the number of axes differs from that of the limits,
+        the axes are disabled.
         """
         self._entered = False
         if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
@@ -106,7 +107,7 @@ class ExternalReferences:
                 f"RobotWare {packet.robotware}" if "rapid_data" in self._capabilities else "a codec that cannot send it"
             )
             raise CommandRefused(
-                f"Expected no rapid_data and rapid_digital in the Command: they require RobotWare 7, but this is {got}."
+                f"Expected no rapid_data or rapid_digital in the Command: they require RobotWare 7, but this is {got}."
             )
         digital = command.rapid_digital
         if digital is not None and not isinstance(digital, bool | np.bool_):

@@ -392,7 +392,7 @@ def entry_refusal(
 
 
 def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
-    """Return the name of joint i (from 0), with its place in the message of a client."""
+    """Return the name of joint i (from 0), with its index in the client's message."""
     if first is not None:
         return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
     if by_axis:

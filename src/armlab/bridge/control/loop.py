@@ -48,7 +48,7 @@ _AGE = list(State.__slots__).index("age")
 
 
 def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
-    """Return the State of all arms: joint arrays are concatenated, and `arms` holds the State and age of each arm.
+    """Return the State of all arms: joint arrays are concatenated, and `arms` contains the State and age of each arm.
 
     Time, sequence number and robot states are those of the pacing arm. Poses and wrenches are NaN; see `arms`.
     """
@@ -136,7 +136,7 @@ _RESERVE = 2**24  # bytes freed at the end of the run, to stop the arms and to r
 
 
 class Loop:
-    """Real-time loop over the arms of a link, until all have ended."""
+    """Real-time loop over the arms of a link, which runs until all arms have ended."""
 
     interrupted: bool
     reason: str
@@ -181,7 +181,7 @@ class Loop:
 
     @property
     def _hangs(self) -> bool:
-        """Whether the current controller call is so long that it may never return."""
+        """Whether the current controller call has lasted so long that it may never return."""
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
@@ -410,7 +410,7 @@ class Loop:
         return ended
 
     def _stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring all arms to rest and end; store the first reason, and the failure in the pacing arm."""
+        """Bring all arms to rest and end the run; store the first reason, and the failure in the pacing arm."""
         self.reason = self.reason or reason
         self._pace.machine.stop(reason, failure)
         for arm in self._others:
@@ -423,8 +423,8 @@ _DRY_RUNS = 20  # before a run; Python specialises code that has run several tim
 class DryRun:
     """Dry run of a cycle: a separate loop replies to a synthetic packet, and the reply is discarded.
 
-    A dry run just before a packet is due reloads the code into the caches of the processor, which other programs use
-    between packets. This shortens the reply latency by a third (benchmarks/bench_egm.py).
+    A dry run just before a packet is due reloads the code into the processor caches, because other programs use these
+    caches between packets. This shortens the reply latency by a third (benchmarks/bench_egm.py).
     """
 
     host, port, errors = "", 0, 0
@@ -465,7 +465,7 @@ class DryRun:
 
 
 def _named(error: BaseException) -> str:
-    """Return the type and text of an error; never raises an error."""
+    """Return the type and text of an error; never raise another error."""
     try:
         text = "out of memory" if isinstance(error, MemoryError) else str(error)
     except Exception:

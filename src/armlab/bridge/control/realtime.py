@@ -185,7 +185,7 @@ class Lateness:
         self._recent: deque[tuple[int, bool]] = deque()
 
     def add(self, now_ns: int, late: bool, call_ns: int) -> str:
-        """Add one cycle; return the reason for a stop of the controller, or "" if it may continue."""
+        """Add one cycle; return the reason for stopping the controller, or "" if it may continue."""
         self._row = self._row + 1 if late else 0
         if self._recent and now_ns - call_ns - self._recent[-1][0] > _PAUSE:
             self._recent.clear()  # a second with a long pause has so few cycles that one late cycle exceeds 5 %

@@ -24,9 +24,9 @@ _logger = logging.getLogger("armlab.bridge")
 class Feed(Protocol):
     """Additional consumer of the rows and events of a run; the loop calls it after each reply, so it must be fast.
 
-    A feed that raises an error is dropped with an event. Optional methods: ``begin(tell, files, keep)`` receives the
-    event callback, the files of the recording and the callback for parameter changes at the start; ``summary()``
-    returns a dict that is added to the statistics of the run.
+    A feed that raises an error is dropped, and an event reports the error. Optional methods: ``begin(tell,
+    files, keep)`` receives the event callback, the files of the recording and the callback for parameter changes at the
+    start; ``summary()`` returns a dict that is added to the statistics of the run.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -96,7 +96,7 @@ class Recording:
         return command
 
     def _keep_less(self, state: State, command: Any, tick: Tick, error: Exception) -> Command | None:
-        """Store a row without the record of the controller and, if it is invalid, without the command."""
+        """Store a row without the controller's record and, if the command is invalid, without the command."""
         try:
             command = replace(command, record={})
             self._log.row(state, command, tick)
@@ -150,7 +150,7 @@ class Recording:
             self._call_feeds(lambda feed: feed.event(text, warn))
 
     def _stamped(self, write: Callable[[int], None], stamp: int) -> None:
-        """Write with a time stamp; in lockstep, entries before the first packet get the time stamp of the first row."""
+        """Write an entry with a time stamp; in lockstep, entries before the first packet get that of the first row."""
         if stamp:
             write(stamp)
         else:
@@ -190,7 +190,7 @@ class Recording:
         return log.read(self.path)
 
     def close(self, summary: Mapping[str, Any]) -> list[str]:
-        """Close the file; return sentences about problems of the recording."""
+        """Close the file; return sentences about problems with the recording."""
         self.catch_up()
         self._limited.close()
         self._stamp_early(time.time_ns())  # without any packet

@@ -145,7 +145,8 @@ class Run(Shown):
     reason : str
         Why the run ended.
     statistics : mapping
-        Counts and latencies, also stored as the summary of the recording; for several arms, by arm name under "arms".
+        Counts and latencies, also stored as the summary of the recording; for several arms, "arms" contains those
+        of each arm by name.
     events : tuple of (int, str)
         Wall clock [ns] and text of each event.
     path : Path

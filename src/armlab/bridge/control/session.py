@@ -43,7 +43,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add a cycle time: time between packets [s] over number difference; return whether the estimate restarts."""
+        """Add a cycle time (time between packets [s] / difference of their numbers); return whether to restart."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
@@ -65,10 +65,10 @@ class Period:
 class RobotClock:
     """Increments of robot time, from feedBack.time, else from tm of the header, else from the arrival times.
 
-    A clock that steps back, stands still or jumps by more than 1 s is ignored for that step. A repeated tm is too
-    coarse for the cycle and is ignored from then on, because its next increment would count twice. `believed` bounds
-    the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by 0.5 s,
-    for example after a network stall.
+    A clock that steps back, stands still or jumps by more than 1 s is ignored for that step. A tm that
+    repeats is too coarse for the cycle time; it is ignored from then on, because its next increment would count twice.
+    `believed` bounds the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail
+    them by 0.5 s, for example after a network stall.
     """
 
     exact: bool
@@ -243,7 +243,7 @@ class Session:
         self._replied_ns = now_ns
 
     def end(self) -> str:
-        """End the session; return the reason, the first cause that is consistent with the last packet."""
+        """End the session; return the reason, which is the first cause that is consistent with the last packet."""
         if self.active and self._last is not None:
             self.reason = self._why(self._last)
             self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
@@ -266,7 +266,7 @@ class Session:
         return next((text for holds, text in causes if holds), "the controller stopped sending")
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
-        """Return the number of packets lost in between, -1 for a new session, or the reason to drop the packet."""
+        """Return the number of packets lost before this packet, -1 for a new session, or the reason for dropping it."""
         now, then = packet.tm_ms, last.tm_ms
         is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of an earlier session
         ahead = (packet.seqno - last.seqno) % _SEQUENCES

@@ -111,7 +111,7 @@ class StateMachine:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a guided robot no longer reports its states; it then holds without a step to the feedback."""
+        """Whether a guided robot no longer reports its states; the arm then holds without a step to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property
@@ -296,7 +296,7 @@ class StateMachine:
         return reply
 
     def _free(self, tau: np.ndarray, packet: Packet) -> Reply:
-        """Reply to a torque-only command, without position loop while the arm is within its limits."""
+        """Reply to a torque-only command, without the position loop while the arm is within its limits."""
         problem = self._torques.outside(packet.q, self._qd)
         if problem:
             self._refuse(problem)

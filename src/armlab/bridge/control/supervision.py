@@ -91,8 +91,8 @@ class Supervisor:
         self._machine.stop(
             "file descriptors were closed",
             ControllerFailed(
-                "The controller or other code in this process closed file descriptors of other code, including the "
-                "socket of the bridge. The arm was stopped. Close only files that the controller opens."
+                "The controller or other code in this process closed file descriptors that it had not opened, "
+                "including the socket of the bridge. The arm was stopped. Close only files that the controller opens."
             ),
         )
 

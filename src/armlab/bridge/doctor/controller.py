@@ -87,7 +87,7 @@ def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Findin
 def controller_findings(
     status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str] | None = None, replace: bool = False
 ) -> list[Finding]:
-    """Return the findings of a controller; `modules` are the texts to load, by task, which may `replace` others."""
+    """Return the findings of a controller; `modules` maps tasks to texts to load, and `replace` allows overwriting."""
     found = _status_findings(status)
     for task in tasks:
         found += [_module(status, task, (modules or {}).get(task.name, ""), replace), _device(status, task)]
@@ -152,7 +152,10 @@ def _module(status: ControllerStatus, task: Task, text: str, replace: bool) -> F
     others = [one for one in status.mains(task) if one != module]
     is_loaded = module in task.modules
     if others and not replace:
-        advice = "A task must have exactly one main. Unload it, or save and unload it with armlab abb setup --replace."
+        advice = (
+            "A task must have exactly one main. Unload the others, or save and unload them with armlab abb setup "
+            "--replace."
+        )
         return Finding(name, "failure", f"main is in {', '.join(others)}", advice)
     if is_loaded and text and not replace and not same_text(status.texts.get((task.name, module), ""), text):
         advice = "Run the module unchanged with armlab abb start, or overwrite it with armlab abb setup --replace."
@@ -184,7 +187,7 @@ def _device(status: ControllerStatus, task: Task) -> Finding:
 
 
 class RapidRun:
-    """RAPID during the runs of a link: starts RAPID if it is stopped, and stops it only in that case."""
+    """Manager of RAPID during the runs of a link: starts RAPID if it is stopped, and stops it only in that case."""
 
     def __init__(self, rws: str, ca: str = "", insecure: str = "false") -> None:
         if insecure.lower() not in ("", "true", "false"):
@@ -197,7 +200,7 @@ class RapidRun:
     def running(
         self, ports: Sequence[int], tell: Tell, cancelled: Callable[[], bool] = lambda: False
     ) -> Iterator[None]:
-        """Run the guidance modules that send to these ports; do not affect modules that are already running.
+        """Run the guidance modules that send to these ports; leave modules that are already running unaffected.
 
         Started modules are stopped at the end, even after an error or interrupt during the start. If `cancelled`
         returns True, no further steps are performed.
@@ -236,4 +239,4 @@ class RapidRun:
                 controller.stop()
                 tell(f"{controller.place}: stop RAPID")
         except LinkError as error:
-            tell(f"RAPID may still run. {error}", True)
+            tell(f"RAPID may still be running. {error}", True)

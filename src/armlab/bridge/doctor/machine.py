@@ -198,7 +198,7 @@ def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
 
 
 def blas() -> Finding:
-    """Report the number of BLAS threads; results of a controller are bit-identical only with one thread."""
+    """Report the number of BLAS threads; the results of a controller are bit-identical only with one thread."""
     from threadpoolctl import threadpool_info
 
     pools = [f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info()]
@@ -206,7 +206,7 @@ def blas() -> Finding:
 
 
 def other_programs(which: Callable[[str], str | None] = shutil.which) -> Finding:
-    """Report optional programs of other parts of armlab; a run does not need them."""
+    """Report optional programs used by other parts of armlab; a run does not need them."""
     browser = next((name for name in ("chromium", "chromium-browser", "google-chrome") if which(name)), "no Chromium")
     zenoh = "Zenoh" if importlib.util.find_spec("zenoh") else "no Zenoh"
     return Finding("other programs", "ok", f"{browser}, {zenoh}")

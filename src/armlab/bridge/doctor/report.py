@@ -95,7 +95,7 @@ class EgmListener:
         extension = (
             "research extension present: velocity and torque are measured"
             if last.packet.qd is not None
-            else "absent: velocities are differences, torque is not measured"
+            else "absent: velocities are position differences, torque is not measured"
         )
         return [
             *found,
@@ -113,7 +113,7 @@ class EgmListener:
         if "joint count" in self.session.drops and self._robot is not None:
             advice = f"This is not a {self._robot.name}, which has {self._robot.n} axes. Name the connected robot."
             return Finding(f"{name}, first packet", "failure", f"wrong axes: {reasons}", advice)
-        advice = "Another program than an EGM controller sends to this port. End that program or choose another port."
+        advice = "A program other than an EGM controller sends to this port. End that program or choose another port."
         return Finding(f"{name}, first packet", "failure", f"not a robot packet: {reasons}", advice)
 
     def _timing(self, name: str) -> Finding:

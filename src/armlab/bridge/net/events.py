@@ -39,10 +39,10 @@ class _Kind:
 class Limited:
     """Rate limiter for events: the first event of a kind is reported immediately, later events at most once a second.
 
-    Events that differ only in numbers and quoted words are of one kind. The newest event within a second is delayed to
-    the end of that second; its text counts the events it replaced. A condition that changes with every packet therefore
-    cannot fill the disk, and its last state is always reported. Events with ``each=True`` are limited to fifty per
-    second and kind.
+    Events that differ only in numbers and quoted words are of the same kind. The newest event within a second is
+    delayed to the end of that second; its text states how many events it replaced. A condition that changes with every
+    packet therefore cannot fill the disk, and its last state is always reported. Events with ``each=True`` are limited
+    to fifty per second and kind.
     """
 
     waiting: int
