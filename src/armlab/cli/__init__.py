@@ -33,7 +33,7 @@ FAILED, WRONG_USE, DOUBTFUL, INTERRUPTED = 1, 2, 3, 130
 
 _COMMANDS = {
     "demo": ("demo:demo", "Demo on a simulated YuMi, from excitation to contact-force estimation. No robot needed."),
-    "sim": ("sim:sim", "Simulated arms with their EGM controller."),
+    "sim": ("sim:sim", "Simulate arms and their EGM controllers."),
     "doctor": (
         "doctor:doctor",
         "Check the computer, the network and the robot before a run. Sends nothing to a robot.",
@@ -81,7 +81,7 @@ _EXAMPLES = {  # examples of commands without subcommands
 
 
 def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
-    """Return the application with all commands, not yet imported; `verb`: requested command, which has its own help."""
+    """Return the application with all commands not yet imported; the requested command `verb` has its own help."""
     from cyclopts import App, Parameter
 
     from armlab import __version__
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Parameters
     ----------
-    arguments : words after ``armlab``; default: the arguments of this process.
+    arguments : command-line arguments after ``armlab``; default: the arguments of this process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     nowhere = Path(os.devnull)  # replaces streams closed by the shell: armlab robot list >&-
@@ -159,7 +159,7 @@ def _report(error: Exception) -> int:
     from armlab.errors import ArmlabError, ConfigError, ModelMismatchError, UnknownName
 
     if isinstance(error, BrokenPipeError):
-        # The reader of our output (head, less) has closed it: suppress the interpreter's error at exit.
+        # The program that reads our output (head, less) has closed the pipe: suppress the interpreter's error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     if isinstance(error, ArmlabError):
@@ -168,7 +168,7 @@ def _report(error: Exception) -> int:
         _say(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}.")
     else:
         _say(f"internal error, {type(error).__name__}: {error} (--debug shows the traceback; please report it).")
-    # Unknown names and models of another kind or arm are usage errors, like a wrong option.
+    # Unknown names, and models of another type or another arm, are usage errors like an invalid option.
     return WRONG_USE if isinstance(error, (ConfigError, ModelMismatchError, UnknownName)) else FAILED
 
 
@@ -188,12 +188,12 @@ def _short_warnings() -> Iterator[None]:
 def _interruptible() -> Iterator[list[int]]:
     """Treat SIGTERM and a closed terminal like Ctrl-C; yields the list of received signals.
 
-    Logs are then closed and simulators stopped.
+    When such a signal arrives, logs are closed and simulators are stopped.
     """
     came: list[int] = []
 
     def interrupt(number: int, _frame: object) -> None:
-        again = number == signal.SIGHUP and bool(came)  # a closed terminal sends it more than once
+        again = number == signal.SIGHUP and bool(came)  # a closed terminal sends SIGHUP more than once
         came.append(number)
         if not again:
             raise KeyboardInterrupt

@@ -33,7 +33,7 @@ _PATIENCE = 10.0  # s, timeout for a reply
 
 bridge: App = App(
     name="bridge",
-    help="Run a cell: robots, clients by LabComm and other protocols, parameters.",
+    help="Run a cell: robots, parameters, and servers for LabComm and other protocols.",
     help_epilogue="Example: armlab bridge --config cell.toml",
 )
 
@@ -61,7 +61,7 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
 def set_parameters(*setting: str, cell: Cell = "") -> None:
-    """Set parameters of a running bridge, and show the resulting values. If a value is refused, none is set.
+    """Set parameters of a running bridge, and show the resulting values. If any value is refused, no parameter changes.
 
     Parameters:
         setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. Without settings, show all parameters.

@@ -18,7 +18,7 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
     """Show all settings, and all values of a cell.
 
     The sources of a setting are, in order of precedence: a command-line option, an environment variable such as
-    ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
+    ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), and the default.
 
     Parameters:
         config: TOML file of the cell; default: from the settings.

@@ -139,10 +139,10 @@ def demo(
     robot: str = "yumi_right",
     output: OptionalOutput = None,
 ) -> int:
-    """Run the whole workflow on a simulated YuMi, from excitation to the estimated force of a hand.
+    """Run the whole workflow on a simulated YuMi, from excitation to the estimation of a hand's force.
 
     --robot selects another arm whose description has masses; its torque limits scale the forces and targets.
-    Ends with status 1 if an estimate misses its target.
+    The command ends with status 1 if an estimate misses its target.
 
     Parameters:
         fast: Run in lockstep, as fast as the computer can, instead of in real time.
@@ -156,7 +156,7 @@ def demo(
     if why := no_masses(load_robot(robot)):
         raise ConfigError(f"Expected a robot with masses for the demo, but {why}.")
     if seed < 0:
-        raise ConfigError(f"Expected a seed of 0 or more, got {seed}. Omit it for 0.")
+        raise ConfigError(f"Expected a seed of 0 or more, got {seed}. Omit --seed to use 0.")
     folder = output or Path(f"demo-{datetime.now(UTC):%Y%m%d-%H%M%S}")
     try:
         outcome = rehearse(robot, seed, folder, fast, view)
@@ -240,12 +240,12 @@ def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, 
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)
 
 
-SEEN = 0.9  # smallest observability of an axis in the RMS errors
+SEEN = 0.9  # smallest observability of an axis that is included in the RMS errors
 MAX_RMS = 1.5  # N per axis, with contact and in free motion; multiplied by the scale
 PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # N, N m, prior of the estimator; multiplied by max(scale, 1)
 MAX_PRESS_ERROR = 0.15  # mean error during a press, relative to the weight
 COVERAGE = (0.85, 0.99)
-MAX_HOLES = 0.02  # largest share of cycles without an estimate, which are lost on a busy computer
+MAX_HOLES = 0.02  # largest share of cycles without an estimate; a busy computer misses some cycles
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ class DemoVerdict:
 
     # name, true force [N], estimated force (x, y, z) [N], 2-sigma band and error along the press [N]
     presses: tuple[dict[str, Any], ...]
-    rms: np.ndarray  # (3,) RMS error with the operator on observable axes [N]
+    rms: np.ndarray  # (3,) RMS error on observable axes while the operator acts [N]
     free_rms: np.ndarray  # (3,) RMS error in free motion on observable axes [N]
     coverage: float  # share of forces inside 2 sigma during presses and motion
     rest_inside: float  # share of forces inside 2 sigma at rest

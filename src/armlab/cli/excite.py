@@ -89,10 +89,10 @@ def excite(
             constant speeds in both directions.
         saved: Use the motion in this file (written by -o) instead of a new design.
         noise: Standard deviation of the robot's torque signal [N m]; the predicted standard deviations scale with it.
-        figure: Draw the motion to this PNG, SVG or PDF.
+        figure: Draw the motion to this PNG, SVG or PDF file.
         run: Link on which to run the motion: egm://HOST:PORT for a real robot, sim://yumi_left or sim://FILE for a
             simulated one.
-        log: Recording of the run; -2, -3 is appended if it exists. Default: excite.mcap in the log folder.
+        log: Log file of the run; if it exists, -2, -3, ... is appended. Default: excite.mcap in the log folder.
         approach: Duration of the motion to the start [s].
     """
     from armlab.cli.support.settings import load_settings, log_folder
@@ -155,7 +155,7 @@ def _saved(path: Path, robot: Robot, force: bool) -> Table:
         for entry in table.source:
             if entry.startswith(_FOR):
                 name, _, digest = entry.removeprefix(_FOR).rpartition(" ")
-                advice = "Design a motion of this robot, or override with --force."
+                advice = "Design a motion for this robot, or add --force to use this one."
                 check_same(robot, f"the motion {path}", name, digest, None, advice)
     return table
 

@@ -200,12 +200,12 @@ class Job:
 def identify(*logs: Path, output: Output, no_cache: bool = False, job: Job = Job()) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
-    The result is bit-identical for any number of workers. The sums over each log are cached, so that only additional
-    logs are processed. The command ends with status 3 if logs are unusable (they are listed) or if the model is poor. A
-    poor model is saved only with --force.
+    The result is bit-identical for any number of workers. The sums over each log are cached, so that a later
+    run processes only new logs. The command ends with status 3 if logs are unusable (they are listed) or if the model
+    is poor. A poor model is saved only with --force.
 
     Parameters:
-        logs: Recordings of free motion without contact, or folders of them.
+        logs: Recordings of free motion without contact, or folders of recordings.
         output: Output model file, .toml.
         no_cache: Do not cache the sums.
         job: See `Job`.
@@ -244,10 +244,10 @@ def estimate(
     Unusable logs are listed, and the command then ends with status 3.
 
     Parameters:
-        logs: Recordings with positions, velocities and torques, or folders of them.
-        model: Model file of armlab identify.
+        logs: Recordings with positions, velocities and torques, or folders of recordings.
+        model: Model file written by armlab identify.
         output: Folder for the estimates.
-        method: As in armlab estimate.
+        method: Estimation method, as in armlab estimate.
         csv: Write CSV instead of MCAP.
         job: See `Job`.
     """
@@ -284,7 +284,7 @@ def export(
     Unreadable logs are listed, and the command then ends with status 3.
 
     Parameters:
-        logs: Files of any supported format, or folders of them.
+        logs: Files of any supported format, or folders of such files.
         format: Output format: csv, mat, parquet, h5, mcap or rosbag2.
         output: Folder for the files.
         job: See `Job`; only mcap uses the robot.

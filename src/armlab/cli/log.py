@@ -35,8 +35,8 @@ log: App = App(name="log", help="Show, export, cut, resample, merge, open and re
 def show(file: Path, *, columns: Columns = None, json: Json = False, parameters: bool = False) -> None:
     """Show the content of a log: rows, rate, columns with units and ranges; for a recording also metadata and events.
 
-    For a foreign log (an MCAP file or a bag), topics are listed separately. The log name of a cell selects the files of
-    all its arms.
+    Topics of an MCAP file or a bag not recorded by armlab are listed separately. The log name of a cell selects the
+    files of all its arms.
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
@@ -105,15 +105,15 @@ def export(
     """Convert a log; the output format follows the file extension.
 
     .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
-    for a recording of armlab. armlab reads all of them back losslessly.
+    for an armlab recording. armlab reads all of them back losslessly.
 
     Parameters:
         file: A log in any of these formats, finished or unfinished.
         output: The new file (for rosbag2, the new folder).
-        robot: Robot to select from a recording of several robots. For a foreign log: robot whose joints to read, or the
-            first part of its topic names. For .mcap and .rosbag2: library name or file of the arm if the log has no
-            robot description.
-        clock: For a foreign log: the topic whose timestamps define the rows; see armlab log show.
+        robot: Robot to select from a recording of several robots. For a log not recorded by armlab: robot whose
+            joints to read, or the prefix of its topic names. For .mcap and .rosbag2: library name or file of the arm if
+            the log has no robot description.
+        clock: For a log not recorded by armlab: the topic whose timestamps define the rows; see armlab log show.
         storage: Storage format of a rosbag2; use sqlite3 for ROS 2 releases before Iron.
     """
     from armlab.log.file_formats.delimited import sidecar_path
@@ -141,14 +141,14 @@ def export(
 
 
 def _table(file: Path, columns: str | None, robot: str | Robot | None, **options: Any) -> Table:
-    """Return the table of a log; `robot` is ignored for a format that does not name robots."""
+    """Return the table of a log; `robot` is ignored for formats without robot names."""
     from armlab.log.reading import names_robots
 
     return armlab.log.read(file, columns, robot=robot if names_robots(file) else None, **options)
 
 
 def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
-    """Return the recorded or given arm, whose joint names a new file stores; None if its format stores none."""
+    """Return the recorded or given arm, whose joint names a new file stores; None if the format has no joint names."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -240,8 +240,8 @@ def resample(
     """Resample a log at a uniform rate.
 
     Numbers are interpolated linearly, and poses and quaternions along geodesics. Counts, flags and texts keep the value
-    of the previous row. Use it for logs with skipped cycles or jittered timestamps. The rate must not be lower than
-    that of the log; to downsample, filter first.
+    of the previous row. Use this command for logs with skipped cycles or jittered timestamps. The rate must not be
+    lower than that of the log; to downsample, filter first.
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.

@@ -30,7 +30,7 @@ def show(
 
     - tf: commands that publish the poses (ros2 run tf2_ros static_transform_publisher ...).
     - urdf: fixed joints with their origins.
-    - easy_handeye: the YAML that its publisher reads (the camera pose).
+    - easy_handeye: the YAML file that the easy_handeye publisher reads (the camera pose).
     - moveit: a ROS 2 launch file in YAML that publishes the camera pose, for use with move_group.
     - json: matrices, positions, quaternions w x y z.
 

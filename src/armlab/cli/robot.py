@@ -100,7 +100,7 @@ def export(
         name: Name in the library, or the path of a description, .toml or .urdf.
         target: File to write, .urdf or .toml (without friction).
         calibrated: Result of armlab calibrate kinematics or dual-arm for this arm.
-        model: Model file of armlab identify.
+        model: Model file written by armlab identify.
     """
     from dataclasses import replace
 

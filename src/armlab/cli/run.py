@@ -40,16 +40,16 @@ def run(
     """Run a controller from a file on a robot, record a log, and print a report.
 
     The file defines a function State -> Command; the value None holds the position. A dictionary `extra` in the file
-    declares the columns of Command.record. The run ends after --seconds, on Command.stop(), or on Ctrl-C, and first
-    brings the arm to rest.
+    declares the columns of Command.record. After --seconds, on Command.stop(), or on Ctrl-C, the arm is
+    brought to rest and the run ends.
 
     Parameters:
         robot: Library name or robot file; yumi_left+yumi_right for two arms.
         controller: FILE.py:NAME; FILE.py alone selects the function `controller`. Default: hold position.
-        link: egm://HOST:PORT for a real robot, where HOST is an address of this computer; separate two arms by a comma.
-            Default: a simulated robot.
-        log: Prefix of the log name, to which the time is appended; or a folder: the prefix is the robot's name.
-            Default: the log folder of the settings.
+        link: egm://HOST:PORT for a real robot, where HOST is an address of this computer; for two arms, give two links
+            separated by a comma. Default: a simulated robot.
+        log: Prefix of the log name, to which the time is appended; or a folder, in which case the prefix is the robot's
+            name. Default: the log folder of the settings.
         no_log: Record nothing.
         seconds: Stop after this much robot time under guidance [s].
         speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: from the settings, else 1.
@@ -181,7 +181,7 @@ def _prompt(done: Run, link: Link) -> None:
 
 
 _REST = 1e-3  # rad/s or m/s, largest speed of the last row
-_LONGEST = 3.0  # s, timeout for the goal after the last point
+_LONGEST = 3.0  # s, timeout for reaching the goal after the last point
 
 
 def play(
@@ -207,7 +207,7 @@ def play(
         robot: Library name or robot file.
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         speed: Allowed fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
-        log: Recording of the motion; -2, -3 is appended if it exists. Default: play.mcap in the log folder.
+        log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: play.mcap in the log folder.
         force: Replay a log of another robot.
     """
     from armlab.cli.dmp.playing import Walk, report_motion

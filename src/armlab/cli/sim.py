@@ -465,5 +465,5 @@ class _SharedOptions:
         unusable["mismatch"] = self.mismatch != Mismatch(seed=self.mismatch.seed)
         if option := next((option for option, given in unusable.items() if given), None):
             raise ConfigError(f"Expected an arm with masses for --{option}, but {why}. Omit --{option}.")
-        note(f"note: {why}. The arm follows references, and ignores torques and hands")
+        note(f"note: {why}. The arm follows references, and ignores torque commands and external forces")
         return LaggingArm(robot, period)

@@ -50,11 +50,11 @@ def view(
             Robots are added as they appear and marked when they disappear.
         zenoh: Address of the bridge or router, such as zenoh://192.168.1.5:7447/lab1; with --fleet
             zenoh://127.0.0.1:7447.
-        robot: Library name or robot file: one per log without an embedded robot description, and for meshes, which
-            recordings and bridges do not contain. Mesh files are searched for in its folder and in the parent folders.
-            A recording or bridge of another robot is refused.
-        model: Model file of `armlab identify`, used to estimate the force if the log or bridge has no estimate; one per
-            arm.
+        robot: Library name or robot file, one per log without an embedded robot description. Also needed to show
+            meshes, which recordings and bridges do not contain. Mesh files are searched for in the folder of the robot
+            file and in its parent folders. A recording or bridge of another robot is refused.
+        model: Model file written by `armlab identify`, used to estimate the force if the log or bridge has no estimate;
+            one per arm.
         cell: With --live: name of the cell; required if several cells are running.
         port: Port of the page; default: the first free port from 8080.
         package_path: Folder with mesh packages (package://NAME/... in a URDF); may be repeated.
@@ -63,7 +63,7 @@ def view(
     """
     if fleet:
         if what or live or robot or model or cell or package_path:
-            raise ConfigError("Expected at most --zenoh and --port with --fleet, got more options. Omit them.")
+            raise ConfigError("Expected at most --zenoh and --port with --fleet, got more options. Omit the others.")
         _watch_fleet(zenoh, port)
         return
     known = [armlab.models.load(path, "torque_model") for path in model or ()]

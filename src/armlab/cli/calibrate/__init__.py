@@ -141,7 +141,7 @@ def laser(
 
     Parameters:
         noise: Known standard deviations of a point [m] and of the angle of a line [rad].
-        robust: Detect wrong scans and exclude them.
+        robust: Detect outliers among the scans and exclude them.
     """
     import numpy as np
 

@@ -49,9 +49,10 @@ def kinematics(
 ) -> int:
     """Calibrate an arm from joint positions and measured poses, positions or distances of its tool.
 
-    A file contains q1 ... qn and at least one kind of measurement: the pose, as for hand-eye; position1 ... position3;
-    distance, from a fixed point; or pair_distance, from the tool position in the sample with the number pair_with (from
-    0) of the same file. Leave missing measurements empty.
+    A file contains q1 ... qn and at least one kind of measurement: the pose (as for hand-eye), position1 ...
+    position3, distance, or pair_distance. A distance is measured from a fixed point. A pair_distance is measured from
+    the tool position in another sample of the same file; pair_with is the number of that sample, from 0. Leave missing
+    measurements empty.
 
     Parameters:
         robot: Library name or robot file of the nominal arm.
@@ -104,16 +105,16 @@ def dual_arm(
     corrected: tuple[Path, Path] | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
-    """Calibrate two arms and their relative base pose from measurements of one tool by the other.
+    """Calibrate two arms and their relative base pose from measurements of one arm's tool by the other arm.
 
     A file contains simultaneous joint positions q_a1 ... q_an and q_b1 ... q_bn, and the pose of tool b relative to
-    tool a, as for hand-eye, or its position1 ... position3. The optional pose absolute_a is tool a as measured by an
-    external device.
+    tool a, as for hand-eye, or its position1 ... position3. The optional pose absolute_a is the pose of tool a as
+    measured by an external device.
 
     Parameters:
         robot_a: Library name or robot file of the measuring arm (nominal).
         robot_b: Library name or robot file of the measured arm (nominal).
-        closed: The tools are rigidly connected, which replaces the measurement.
+        closed: The tools are rigidly connected, so no relative measurements are needed.
         noise: Known standard deviations: poses [m and rad] or positions [m], then absolute_a [m and rad].
         corrected: Also write the corrected arms a and b as robot files, .toml.
     """
@@ -156,7 +157,7 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
     if not np.all((other >= 0) & (other < len(q)) & (other % 1 == 0)) or np.any(place[other.astype(int)] < 0):
         raise LogError(
             f"Expected pair_with of {read.path} to contain the number of another sample with joint positions, 0 to "
-            f"{len(q) - 1}, wherever there is a pair_distance, got other numbers. Correct the file."
+            f"{len(q) - 1}, wherever pair_distance has a value, got other numbers. Correct the file."
         )
     pair[paired] = place[other.astype(int)]
     return (*found[:-1], pair)

@@ -59,9 +59,9 @@ def hand_eye(
     A file contains the poses T_base_tool and T_cam_marker, one sample per row: T_cam_marker_x, _y, _z [m or mm in the
     header] and the rotation as _qw, _qx, _qy, _qz, as the rotation vector _rx, _ry, _rz of OpenCV and UR, or as _roll,
     _pitch, _yaw [rad or deg], R = Rz(yaw) Ry(pitch) Rx(roll). A pose may also be a matrix, with the columns
-    T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). Other column names are
-    possible with --columns T_base_tool:rotvec=actual_TCP_pose_{0..5}; instead of rotvec also wxyz, xyzw, rpy,
-    euler_zyx, euler_xyz, euler_zyz, matrix; append _deg for degrees.
+    T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). Map other column
+    names with --columns, for example T_base_tool:rotvec=actual_TCP_pose_{0..5}. The form rotvec may be replaced by
+    wxyz, xyzw, rpy, euler_zyx, euler_xyz, euler_zyz or matrix; append _deg for degrees.
 
     Instead of T_cam_marker, a file may contain the marker points in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x
     ...; in a MAT file p_cam (N, K, 3). Leave hidden points empty.
@@ -140,10 +140,11 @@ def _check_options(
         raise ConfigError("Expected --robot-topic and --camera-topic together, got only one of them. Give both.")
     if images is not None and (join or robot_topic or noise):
         raise ConfigError(
-            "Expected --images without --join, topics and --noise, got --images with at least one of these. Omit one."
+            "Expected --images without --join, topics or --noise, got --images with at least one of these options. "
+            "Omit --images or the other options."
         )
     if max_gap is not None and join is None and robot_topic is None:
-        raise ConfigError(f"Expected --max-gap {max_gap} with --join nearest or linear, got no --join. Add it.")
+        raise ConfigError(f"Expected --max-gap {max_gap} with --join nearest or linear, got no --join. Add --join.")
     wanted = 1 if images is not None or robot_topic is not None else 2 if join is not None else len(samples)
     if len(samples) != wanted:
         what = {1: "one file (poses with names of images, or a bag)", 2: "two files (robot and camera)"}
@@ -182,7 +183,7 @@ def _pictures(folder: Path, names: Sequence[str], path: Path) -> dict[str, np.nd
 
     there = {file.name for file in folder.iterdir() if file.suffix.lower() in _IMAGES} if folder.is_dir() else set()
     if not there:
-        raise LogError(f"Expected a folder of images ({', '.join(sorted(_IMAGES))}) at {folder}, got none there.")
+        raise LogError(f"Expected a folder of images ({', '.join(sorted(_IMAGES))}) at {folder}, got no images there.")
     twice = sorted({name for name in names if names.count(name) > 1})
     missing = [name for name in names if Path(name).name not in there]
     if twice or missing:
@@ -230,12 +231,12 @@ def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | 
     if len(camera) != 1 or len(arm) != 1:
         raise LogError(
             f"Expected T_cam_marker or p_cam in one of {', '.join(one.path.name for one in read)} and T_base_tool or q "
-            f"in the other, got the camera's columns in {len(camera)}. Rename the columns, or give their names with "
-            "--columns."
+            f"in the other, got the camera's columns in {len(camera)} of these files. Rename the columns, or give "
+            "their names with --columns."
         )
     for one in read:
         if "t" not in one.values:
-            raise LogError(f"Expected a clock, the column t [s], in {one.path} for --join, got none.")
+            raise LogError(f"Expected the time column t [s] in {one.path} for --join, got no such column.")
     T = at_times(tool_poses(arm[0], robot), arm[0].clock, camera[0].clock, join, gap, arm[0].path.name)
     values = {**camera[0].values, "T_base_tool": T}
     return Samples(camera[0].path, values, f"{camera[0].source}; {arm[0].source}", camera[0].units)
@@ -281,7 +282,7 @@ def at_times(T: np.ndarray, t: np.ndarray, times: np.ndarray, join: Join, gap: f
 
 
 def from_topics(path: Path, robot_topic: str, camera_topic: str, join: Join, gap: float | None) -> Samples:
-    """Return the poses of two topics of a bag at the times of the camera."""
+    """Return the poses of two topics of a bag at the camera's times."""
     from armlab.log.file_formats.opening import origin
 
     tables = armlab.log.read_topics(path)

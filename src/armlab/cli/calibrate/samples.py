@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP files; several files are joined.")]
 Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
 ArmOfPoses = Annotated[str | None, Parameter(help="Library name or file of the arm, to compute T_base_tool from q.")]
-_QUATERNION_LENGTH = 1e-3  # largest difference from one
+_QUATERNION_LENGTH = 1e-3  # largest deviation of a norm from 1
 _CLOCKS = ("t", "time")
 _UNITS = {r"force\d*": "N", r"acc\d*": "m/s^2", r"(position|(pair_)?distance)\d*": "m", r"\w+_[xyz]": "m"}
 _TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # components of a quantity, which share a unit
@@ -116,7 +116,7 @@ class Samples:
         )
 
     def _numbered(self, pattern: str) -> list[str]:
-        """Return the consecutive columns of a pattern with a number from 1."""
+        """Return the consecutive columns that match a pattern, numbered from 1."""
         return list(takewhile(self.values.__contains__, (pattern % k for k in count(1))))
 
     def _found(self, name: str) -> np.ndarray:
@@ -144,7 +144,7 @@ def read_pair(paths: Sequence[Path], columns: str | None) -> list[Samples]:
         if not any(name.partition(":")[0] in one.values for one in samples):
             raise LogError(
                 f"Expected the columns of {name} in {' or '.join(str(path) for path in paths)}, got neither. Correct "
-                "its source in --columns."
+                f"the source of {name} in --columns."
             )
     return samples
 
@@ -239,7 +239,7 @@ def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
 
 
 def _check_units(path: Path, labels: Sequence[str]) -> None:
-    """Refuse components of which only some have a unit, because they would be read in different units."""
+    """Refuse a quantity with units for only some components, which would be read in different units."""
     groups: dict[str, set[bool]] = {}
     for label in labels:
         found = _TOGETHER.match(label.split("[")[0].strip())
@@ -282,7 +282,7 @@ def run_fit(
     """Read sample files, fit all of them together, write the requested output, and return the exit code.
 
     `parts` extracts arrays of equal length from a file; `fit` receives these arrays, joined over the files. `corrected`
-    returns the corrected arms of a fit by the file to write.
+    returns the corrected arms of a fit, keyed by output file.
     """
     wanted.check(wanted.output, (".toml",))
     if not files:
@@ -352,7 +352,7 @@ def measured_rows(
 
 
 def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarray) -> None:
-    """Refuse incomplete poses or vectors, with their row in the file; single points may be missing."""
+    """Refuse incomplete poses or vectors, and report the first such row in the file; single points may be missing."""
     import numpy as np
 
     for part in needed:
@@ -385,12 +385,12 @@ def _first_times(
     for part in flat[len(needed) if some else 1 :]:
         held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))
         if held and part.shape[1] >= 3:
-            note(f"{held} rows of {name} repeat the previous measurement; they may be held values")
+            note(f"{held} rows of {name} repeat the previous measurement; they may be values held by the sensor")
     return first
 
 
 def noise_of(values: Sequence[float] | None) -> Any:
-    """Return the standard deviations in the format of the fits: None, a number, or a tuple."""
+    """Return the standard deviations in the form that the fits accept: None, a number, or a tuple."""
     return None if values is None else values[0] if len(values) == 1 else tuple(values)
 
 
@@ -406,7 +406,7 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     if far > _DEGREES:
         raise LogError(
             f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}. These seem to be degrees: write "
-            "their unit into the header, q1 [deg]."
+            "the unit into the header: q1 [deg]."
         )
     return armlab.kinematics.forward(arm, q)
 
@@ -477,7 +477,7 @@ def judge(fit: Fit[Any]) -> Verdict:
     for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
         if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
             found.bad.append(
-                f"Noise of {name} of {sigma:.2g} is too large for a sensor, so some samples are probably wrong."
+                f"The noise of {name}, {sigma:.2g}, is too large for a sensor, so some samples are probably wrong."
             )
             found.ahead.append("Find outliers with --robust, and check the pairing, units and frames.")
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):
@@ -496,7 +496,8 @@ def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -
     page.verdict(verdict)
     page.section(
         "Residuals, ellipses, excitation",
-        "In standard deviations of the noise; a straight line indicates normally distributed residuals.",
+        "Residuals are in standard deviations of the noise. A straight quantile plot indicates normally distributed "
+        "residuals.",
     )
     page.figure(png(armlab.plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
     page.section("Parameters")

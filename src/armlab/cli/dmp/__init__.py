@@ -45,7 +45,8 @@ def fit(
 ) -> int:
     """Fit a movement primitive to one or several demonstrations in logs, and save it.
 
-    Rest before and after the motion is skipped. Prints the RMS error between the primitive and the demonstrations.
+    The standstill before and after the motion is skipped. Prints the RMS error between the primitive and the
+    demonstrations.
 
     Parameters:
         logs: One log per demonstration: MCAP, CSV, MAT or Parquet. The kinds pose and periodic need one log, and promp
@@ -109,7 +110,7 @@ def play(
     limits is slowed down.
 
     Parameters:
-        primitive: File of `armlab dmp fit`, or another saved primitive.
+        primitive: File written by `armlab dmp fit`, or another saved primitive.
         robot: Library name or robot file.
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         output: Write the motion to this file instead of moving the robot: .csv, or .mcap with --robot (which applies
@@ -117,13 +118,13 @@ def play(
         duration: Duration of the motion, or of one period [s]; default: duration of the demonstration.
         start: Start of the motion, comma-separated: joint positions [rad or m], or position [m] and quaternion
             w,x,y,z of the tool.
-        goal: Goal in the same form; for a periodic motion, its baseline.
-        via: Via-point TIME:Y,Y,... of a joint motion, at a time of the demonstration [s].
+        goal: Goal, in the same form as the start; for a periodic motion, its baseline.
+        via: Via-point TIME:Y,Y,... of a joint motion, where TIME is a time in the demonstration [s].
         amplitude: Amplitude factor of a periodic motion.
         turns: Number of periods of a periodic motion; default: 4.
         speed: Fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         firm: Do not wait for a held arm: send the path open loop.
-        log: Recording of the motion; -2, -3 is appended if it exists. Default: dmp.mcap in the log folder.
+        log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: dmp.mcap in the log folder.
         force: Replace an existing --output file, and play a joint-space primitive of another robot.
     """
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out

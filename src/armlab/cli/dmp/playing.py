@@ -65,7 +65,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
     run = {name: value for name, value in given.items() if value is not None}
     for name in run:
         if name not in OPTIONS[kind]:
-            raise ConfigError(f"Expected --{', --'.join(OPTIONS[kind])} for a {kind}, got --{name}. Omit it.")
+            raise ConfigError(f"Expected --{', --'.join(OPTIONS[kind])} for a {kind}, got --{name}. Omit --{name}.")
     points = [_point(word) for word in run.pop("via", ())]
     if kind == "promp":
         return _mean(primitive, points, run, armlab.motion.fit_dmp), {}

@@ -29,7 +29,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 POSES = "T_base_tool"
 MOVES = 0.02  # slowest motion, relative to the largest speed
 STILL = 2e-3  # rad/s or m/s, velocity noise at rest
-MARGIN = 0.1  # s of rest that is kept at both ends
+MARGIN = 0.1  # s of standstill that is kept at both ends
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class MotionWindow:
-    """Part of a log from `start` to `end` [s], without the rest before and after the motion unless `whole`."""
+    """Segment of a log from `start` to `end` [s], without the standstill before and after the motion unless `whole`."""
 
     start: float | None = None
     end: float | None = None
@@ -64,10 +64,10 @@ def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     for name in chosen:
         if name not in KINDS[kind]:
             having = " or ".join(k for k, options in KINDS.items() if name in options)
-            raise ConfigError(f"Expected --{name} with --kind {having}, got --kind {kind}. Omit it.")
+            raise ConfigError(f"Expected --{name} with --kind {having}, got --kind {kind}. Omit --{name}.")
     if kind == "periodic" and "period" not in chosen:
         raise ConfigError(
-            "Expected --period SECONDS (duration of one period) with --kind periodic, got no period. Add it."
+            "Expected --period SECONDS (duration of one period) with --kind periodic, got no period. Add --period."
         )
     return chosen
 
@@ -87,7 +87,8 @@ def read_demonstration(
     arm, foreign = None if robot is None else load_robot(robot), is_foreign(path)
     if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
         raise ConfigError(
-            f"Expected --robot NAME with {path}, got no robot. It defines the order of the joints in this foreign log."
+            f"Expected --robot NAME with {path}, got no robot. The robot defines the joint order of a log that was not "
+            "recorded by armlab."
         )
     if arm is not None and not foreign:
         check_log(path, arm, force)
@@ -117,7 +118,7 @@ def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]
     given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
     if kind in ("pose", "periodic"):
         if len(demos) > 1:
-            raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit a primitive to each.")
+            raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit a primitive to each log.")
         fit = armlab.motion.fit_pose_dmp if kind == "pose" else armlab.motion.fit_periodic_dmp
         return fit(demos[0].t, demos[0].y, **given)
     t, y = [demo.t for demo in demos], [demo.y for demo in demos]
@@ -168,7 +169,7 @@ def _side_by_side(table: Table, names: Sequence[str]) -> np.ndarray:
 
 
 def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
-    """Return the rows of the motion with a margin of rest at both ends."""
+    """Return the rows of the motion with a margin of standstill at both ends."""
     if len(t) < 3:
         return slice(None)
     speed = np.abs(np.gradient(y, t, axis=0)).reshape(len(t), -1).max(axis=1)

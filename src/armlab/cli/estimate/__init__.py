@@ -61,21 +61,21 @@ def estimate(
 ) -> int:
     """Estimate the contact force in a log with a torque model.
 
-    Prints the range, mean 2-sigma band and observability of each axis (and its limits, with --method interval), the
-    mean force and possible location of each contact, and a verdict that reports gaps and skipped rows. The force is
-    exerted by the environment on the robot, in base axes, at the tool point.
+    For each axis, prints the range, the mean 2-sigma band, the observability and, with --method interval, the limits.
+    For each contact, prints the mean force and the possible location. A verdict then reports gaps and skipped rows. The
+    estimated force is exerted by the environment on the robot; it is in base axes, at the tool point.
 
     Parameters:
         robot: Library name or robot file of the robot of the model.
         log: Recording of this robot with positions, velocities and torques.
-        model: Model file of `armlab identify`.
+        model: Model file written by `armlab identify`.
         method: map: most probable force, for continuous motion. bounded: no contact unless proven, for an arm that also
             stops. interval: like bounded, with guaranteed limits. kf, observer: momentum methods, without acceleration.
             ls, lund, clip, ols: for comparison.
         force_rate: With method kf: expected rate of change of the force.
         bias: With method kf: estimate a friction error per joint, reset after each stop.
-        tare: Time from the start during which the arm rests without contact [s]; the friction identified from it is
-            valid until the arm moves.
+        tare: Initial time during which the arm is at rest without contact [s]. The friction identified during this time
+            is valid until the arm moves.
         output: Also write the estimate of every row with q, qd and tau, .mcap (for armlab view) or .csv.
         prior: Prior of the contact wrench.
     """

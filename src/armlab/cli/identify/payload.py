@@ -41,8 +41,8 @@ def payload(
 
     Parameters:
         robot: Library name or robot file of the robot of the model.
-        log: Recording with the load and without contact, with positions, velocities and torques.
-        model: Model file of `armlab identify` for the arm without the load.
+        log: Recording of positions, velocities and torques, with the load and without contact.
+        model: Model file written by `armlab identify` for the arm without the load.
         without: Recording of the same motion without the load, which cancels model errors.
         mode: static: mass and centre of mass. dynamic: also inertia, which needs fast motion of the wrist.
         gain: Relative standard deviation of the torque constants.

@@ -168,7 +168,7 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
     if narrow.any():
         found.ahead.append(
             f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: the model extrapolates "
-            "outside this part. Record motions there before you use the model there."
+            "outside these ranges. Record motions there before you use the model there."
         )
     qd = np.concatenate([np.abs(table["qd"]) for table in tables])
     hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
@@ -288,8 +288,8 @@ def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Draw
         (
             "Friction",
             "Friction of each joint against its speed with uncertainty",
-            "Dark band: uncertainty of the parameters. Light band: also the torque error at that speed; should contain "
-            "95 % of the points.",
+            "Dark band: uncertainty of the parameters. Light band: includes the torque error at that speed; this band "
+            "should contain 95 % of the points.",
             lambda: armlab.plots.friction(fit, estimate),
         ),
         (

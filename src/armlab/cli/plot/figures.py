@@ -70,7 +70,7 @@ def scene(
         logs: Recordings with poses, or with q and --robot. Each log is drawn as a path.
         cloud: File of points measured by a laser tracker.
         plane: File of a plane measured by a laser tracker.
-        pose: MAT file of a frame, which is labelled with the name of the file.
+        pose: MAT file of a frame, which is labelled with the file name.
         frames: Length of the frames along paths [m]; 0 draws no frames.
     """
     from armlab.log import nikon
@@ -186,7 +186,7 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
 
     Parameters:
         log: Recording with an estimate and a force sensor; with --model, a recording of free motion.
-        model: Model file of `armlab identify`, to compare its torques with the log.
+        model: Model file written by `armlab identify`, to compare its torques with the log.
     """
     path = figure.path(log, "coverage")
     if model is not None:
@@ -194,7 +194,7 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
     read = figure.read(log, figure.robot)
     if not {"wrench", "wrench_true"} & set(read.names):
         raise LogError(
-            f"Expected a force sensor in {log}, column wrench, as reference of the estimate, got no such column. "
+            f"Expected a force sensor in {log}, column wrench, as a reference for the estimate, got no such column. "
             "Add --model MODEL to compare torques."
         )
     return figure.save(path, armlab.plots.coverage(read))
@@ -214,7 +214,8 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the uncertainty of a calibration and the excitation of its samples.
 
     Parameters:
-        fit: Result of `armlab calibrate`. It has no residuals; to draw them, use armlab calibrate --figure.
+        fit: Result of `armlab calibrate`. The file contains no residuals; to draw residuals, use armlab calibrate
+            --figure.
     """
     path = figure.path(fit, "calibration")
     found = armlab.estimation.Fit.load(fit)
@@ -280,7 +281,7 @@ def dmp(
     """Draw a movement primitive of any kind against time, with its demonstrations.
 
     Parameters:
-        demos: Logs of the demonstrations, drawn without rest; several logs for a distribution over motions.
+        demos: Logs of the demonstrations, drawn without standstill; pass several logs for a distribution over motions.
     """
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp

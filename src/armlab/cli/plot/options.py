@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 POSES = ("T_base_tool", "T_frame_tool")
 
-Model = Annotated[Path, Parameter(help="Model file of `armlab identify`.")]
+Model = Annotated[Path, Parameter(help="Model file written by `armlab identify`.")]
 FreeMotion = Annotated[Path, Parameter(help="Recording of free motion, preferably not used in the fit.")]
 Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or a recording with an estimate.")]
 RobotName = Annotated[str, Parameter(help="Library name or robot file.")]
 PoseRobot = Annotated[str | None, Parameter(help="Library name or robot file, to compute the poses from q.")]
 PoseColumn = Annotated[str | None, Parameter(help="Column of poses; default: T_base_tool or T_frame_tool.")]
-Primitive = Annotated[Path, Parameter(help="Primitive file of `armlab dmp fit`.")]
+Primitive = Annotated[Path, Parameter(help="Primitive file written by `armlab dmp fit`.")]
 Joints = Annotated[str | None, Parameter(help="Comma-separated joint numbers from 1; default: all joints.")]
 
 
@@ -84,7 +84,7 @@ class LogPart:
     where: Annotated[Columns, Parameter(name="--columns")] = None
 
     def read(self, path: Path, robot: str | None = None, model: TorqueModel | None = None) -> Table:
-        """Return the selected part of a log; refuse a recording of another robot than the given or the model's."""
+        """Return the selected part of a log; refuse a recording of a robot other than the given one or the model's."""
         from armlab.cli.support.log_input import check_log
         from armlab.log.topics.reader import is_foreign, read_joints
 
@@ -96,7 +96,7 @@ class LogPart:
             whole = armlab.log.read(path, self.where, robot=self.arm)
         low, high = (-math.inf if self.start is None else self.start), (math.inf if self.end is None else self.end)
         if not len(whole):
-            raise LogError(f"Expected rows in {path}, got an empty log. Choose another.")
+            raise LogError(f"Expected rows in {path}, got an empty log. Choose another log.")
         part, last = whole.between(low, high), whole.t[-1]
         if not len(part):
             raise LogError(
@@ -144,7 +144,7 @@ class ModelFigure(LogFigure):
         return arm
 
     def log_of(self, model: TorqueModel, log: Path) -> Table:
-        """Return the selected part of a log, with foreign joints in the order of the model's robot."""
+        """Return the selected part of a log, with its joints in the order of the model's robot."""
         if self.robot is not None:
             self.robot_of(model)  # raises for another robot
         return self.read(log, self.robot or model.robot_name, model)

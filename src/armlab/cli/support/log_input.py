@@ -55,7 +55,7 @@ def read_log(path: Path, robot: Robot, force: bool = False, columns: str | None 
 
 
 def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
-    """Return the table without its incomplete rows if there are only a few; rows without any number count as lost."""
+    """Return the table without its incomplete rows if there are only a few; entirely empty rows count as lost."""
     values = np.hstack([table[name] for name in names])
     lost = np.asarray(~np.isfinite(values).all(axis=1))
     some = lost & np.isfinite(values).any(axis=1)
@@ -145,8 +145,8 @@ def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
     """Return errors for velocities that are not the derivatives of the positions, and for implausible torques.
 
-    `identify.prepare` rejects such logs. Logs for estimation may contain rest, so this check uses only the motion in
-    the longest segment without a gap. The table has q, qd and tau (N, n).
+    `identify.prepare` rejects such logs. Logs for estimation may contain standstill, so this check uses only the motion
+    in the longest segment without a gap. The table has q, qd and tau (N, n).
     """
     from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline

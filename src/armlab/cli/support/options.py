@@ -25,7 +25,7 @@ Seconds = Annotated[float | None, Parameter(help="Stop after this time [s].")]
 Columns = Annotated[
     str | None,
     Parameter(
-        help="Columns of a file of another program, with unit and factor where needed: "
+        help="Columns of a file from another program, with unit and factor where needed: "
         "q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5. For a file without a header, give column numbers: "
         "t=1,q={2..7}. Presets: ur, franka, ros, abb, abb7."
     ),
@@ -128,7 +128,8 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
     for arm, address in zip(arms, addresses(urls, len(arms)), strict=True):
         if link is not None and address.scheme == "sim" and simulated(address.robot) != arm:
             raise ConfigError(
-                f"Expected a link to {robot}, got {link}, a different arm. Pass it as ROBOT, or use the link {same}."
+                f"Expected a link to {robot}, got {link}, a different arm. Pass this arm as ROBOT, or use the link "
+                f"{same}."
             )
     return urls
 

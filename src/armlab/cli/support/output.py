@@ -57,7 +57,7 @@ def refuse_overwrite(path: Path, force: bool) -> None:
 
 
 def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
-    """Raise `ConfigError` if the result could not be written, before any computation."""
+    """Raise `ConfigError` before any computation if the result cannot be written."""
     if path.suffix.lower() not in endings:
         raise ConfigError(
             f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the file extension."
@@ -67,7 +67,9 @@ def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequen
             f"Expected {path} in an existing folder, but {path.parent} does not exist. Create the folder first."
         )
     if not os.access(path.parent, os.W_OK):
-        raise ConfigError(f"Expected {path} in a writable folder, but {path.parent} is not writable. Choose another.")
+        raise ConfigError(
+            f"Expected {path} in a writable folder, but {path.parent} is not writable. Choose another folder."
+        )
     for one in inputs:
         if path.exists() and one.exists() and (_holds(path, one) or _holds(one, path)):
             raise ConfigError(

@@ -27,7 +27,7 @@ class Results:
 
     Attributes:
         report: Also write a self-contained HTML page with tables and figures, .html; it loads nothing from the network.
-        figure: Also draw the result to this PNG, SVG or PDF.
+        figure: Also draw the result to this PNG, SVG or PDF file.
         json: Print JSON for scripts.
         force: Replace existing files, save a poor result, and accept a recording or model of another description of the
             arm. With `identify`: also accept implausible torques.
