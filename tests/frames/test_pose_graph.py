@@ -235,7 +235,7 @@ def test_what_cannot_be_solved_is_refused() -> None:
         solve_poses([], ())
     some = measured(None)
     some[2] = Edge("d", "c", some[2].T, None, "drawing")
-    with pytest.raises(FrameError, match=r"but d to c \(drawing\) has none"):
+    with pytest.raises(FrameError, match=r"but d to c \(drawing\) has no covariance"):
         solve_poses(some, NAMES_SOLVED)
     with pytest.raises(NotExcited, match="numbers"):
         solve_poses([Edge(e.a, e.b, e.T) for e in measured(None)[:3]], NAMES_SOLVED)
