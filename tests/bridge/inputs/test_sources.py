@@ -68,7 +68,7 @@ def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
     assert source.robot == "yumi_left"
     check_source(source, arms)
     check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms[:1])
-    with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
+    with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force' to be one of yumi_left, yumi_right"):
         check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms)
     with pytest.raises(
         ModelMismatchError, match="'force' to belong to a robot of this run, got a calibration of 'yumi_left'"
@@ -368,9 +368,9 @@ def test_unknown_names_and_a_flood_of_settings() -> None:
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"name": "2x"}, "free parameter name"),
+        ({"name": "2x"}, "unused parameter name"),
         ({"name": "set"}, "free"),
-        ({"name": None}, "free parameter name"),
+        ({"name": None}, "unused parameter name"),
         ({"type": "double"}, "to be float, int"),
         ({"type": "float[0]"}, "to be float, int"),
         ({"rights": "all"}, "rights"),

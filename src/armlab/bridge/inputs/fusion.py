@@ -31,7 +31,7 @@ _FASTEST_DRIFT = 1e-3  # s/s
 
 
 class ClockMap:
-    """Maps timestamps of another clock to our clock by the running minimum of (receive - source) over 10 s, with drift.
+    """Maps timestamps of another clock to ours by the running minimum of (receive - source) over 10 s, including drift.
 
     Packets can be late but never early, so the minimum is the clock offset plus the shortest delay. A step above 50 ms
     restarts the estimate.
@@ -112,11 +112,11 @@ class Held(Shown):
     seq : int
         Number of the reading; 0 before the first.
     source_ns : int, ns
-        Timestamp on the source's clock; 0 without one.
+        Timestamp on the source's clock; 0 if the source sends no timestamps.
     receive_ns : int, ns
         Arrival time on our monotonic clock; 0 before the first reading.
     mapped_ns : int, ns
-        The source's timestamp converted to our clock; 0 without one.
+        The source's timestamp converted to our clock; 0 if the source sends no timestamps.
     """
 
     values: Mapping[str, np.ndarray]

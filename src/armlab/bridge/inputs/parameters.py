@@ -68,7 +68,7 @@ class Parameter(Shown):
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or hasattr(Parameters, self.name):
             raise ConfigError(
-                f"Expected a free parameter name of letters, digits and _, got {self.name!r}. Choose another name."
+                f"Expected an unused parameter name of letters, digits and _, got {self.name!r}. Choose another name."
             )
         if self.type not in _TYPES and not _VECTOR.fullmatch(self.type):
             raise ConfigError(
@@ -85,7 +85,7 @@ class Parameter(Shown):
 
     @property
     def _size(self) -> int:
-        """Length k of a "float[k]", else 0."""
+        """Length k of the type "float[k]"; 0 for other types."""
         match = _VECTOR.fullmatch(self.type)
         return int(match[1]) if match else 0
 

@@ -45,7 +45,7 @@ class Reading(NamedTuple):
     values : mapping
         Values by field.
     source_ns : int, ns
-        Timestamp on the source's clock; 0 without one.
+        Timestamp on the source's clock; 0 if the source sends no timestamps.
     receive_ns : int, ns
         Arrival time on our monotonic clock.
     seq : int
@@ -195,7 +195,7 @@ def check_source(source: Source, robots: Sequence[Robot]) -> None:
         return
     if not source.robot and len(robots) > 1:
         names = ", ".join(robot.name for robot in robots)
-        raise ConfigError(f"Expected robot= of the force sensor {source.name!r}, one of {names}, got an empty name.")
+        raise ConfigError(f'Expected robot= of the force sensor {source.name!r} to be one of {names}, got "".')
     hashes = [robot.hash for robot in robots if source.robot in ("", robot.name)]
     if source.calibration.robot_hash and source.calibration.robot_hash not in hashes:
         raise ModelMismatchError(
@@ -424,7 +424,7 @@ class UdpSource(Source):
     Attributes
     ----------
     drops : int
-        Number of invalid datagrams among those read; older datagrams of the same tick are skipped unread.
+        Number of invalid datagrams among those decoded; older datagrams of the same tick are skipped undecoded.
 
     Raises
     ------

@@ -1,21 +1,21 @@
 MODULE ArmlabJoint
   ! Guides the joints of a robot with six axes (task T_ROB1) from a computer.
   ! armlab, MIT licence. Written from ABB's manual 3HAC073318-001 (Externally Guided Motion); never tried on a real
-  ! controller. The program on the computer must run before this one, or this one reports a time-out and tries again.
+  ! controller. Start the program on the computer first; otherwise this module reports a time-out and tries again.
   !
   ! Edit before the first run:
-  !   tool0  your tool with its load: a wrong load is event 41438, or a wrong torque
-  !   speed  at most this much on top of what RAPID moves [degrees/s]
+  !   tool0  your tool with its load: a wrong load causes event 41438 or wrong torques
+  !   speed  maximum speed that guidance adds to the motion commanded by RAPID [degrees/s]
 
   LOCAL VAR jointtarget start;
   LOCAL CONST num speed := 90;
-  LOCAL CONST num patience := 0.2;  ! s without an answer; the last speed acts so long
-  LOCAL CONST egm_minmax never := [0, 0];  ! a window that is never met: guidance does not end because the arm rests
+  LOCAL CONST num patience := 0.2;  ! s without a reply; until then, the last speed remains active
+  LOCAL CONST egm_minmax never := [0, 0];  ! a window that is never met: guidance does not end when the arm is at rest
   LOCAL VAR egmident guide;
 
   PROC main()
-    ! The first movement after a restart must not be guided, and guidance begins at a fine point only. This one ends
-    ! where the arm is: nothing moves. To begin elsewhere, set start to a posture within reach.
+    ! The first movement after a restart must not be guided, and guidance can begin only at a fine point. This movement
+    ! ends at the current position, so the arm does not move. To begin elsewhere, set start to a reachable posture.
     start := CJointT();
     MoveAbsJ start, v50, fine, tool0;
     WHILE TRUE DO
@@ -26,14 +26,14 @@ MODULE ArmlabJoint
         \J1:=never \J2:=never \J3:=never \J4:=never
         \J5:=never \J6:=never
         \LpFilter:=100 \SampleRate:=4 \MaxPosDeviation:=1000 \MaxSpeedDeviation:=speed;
-      ! Returns after CondTime within the window, so never; \PosCorrGain:=0 would follow speeds alone.
+      ! Returns after CondTime within the window, which never happens; \PosCorrGain:=0 would follow only speeds.
       EGMRunJoint guide, EGM_STOP_HOLD \J1 \J2 \J3 \J4 \J5 \J6
         \CondTime:=3600 \RampInTime:=0.5 \PosCorrGain:=1;
-      TPWrite "armlab: guidance ended, it begins again";
+      TPWrite "armlab: guidance ended and restarts";
     ENDWHILE
   ERROR
     IF ERRNO = ERR_UDPUC_COMM THEN
-      TPWrite "armlab: no answer from the computer, waiting for it";
+      TPWrite "armlab: no reply from the computer, waiting for it";
       WaitTime 1;
       TRYNEXT;
     ENDIF

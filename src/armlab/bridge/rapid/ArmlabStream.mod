@@ -1,9 +1,9 @@
 MODULE ArmlabStream
-  ! Tells a computer where the arm is, every 4 ms, and moves nothing: to watch it, and to lead it by hand.
+  ! Sends the arm position to a computer every 4 ms without moving the arm: for monitoring and for lead-through.
   ! armlab, MIT licence. Written from ABB's manual 3HAC073318-001 (Externally Guided Motion); never tried on a real
-  ! controller. Answers of the computer are not used.
+  ! controller. Replies from the computer are ignored.
   !
-  ! For a YuMi load it into both tasks, with ROB_L and "armlab_l" in T_ROB_L, ROB_R and "armlab_r" in T_ROB_R.
+  ! For a YuMi, load this module into both tasks, with ROB_L and "armlab_l" in T_ROB_L, ROB_R and "armlab_r" in T_ROB_R.
 
   LOCAL VAR egmident guide;
 
@@ -13,7 +13,7 @@ MODULE ArmlabStream
     EGMSetupUC ROB_1, guide, "armlab", "armlab" \Joint;
     EGMStreamStart guide \SampleRate:=4;
     TPWrite "armlab: streaming";
-    ! To lead the arm by hand: the button or page of the pendant, or take away the next exclamation mark.
+    ! To lead the arm by hand, use the lead-through button or page of the pendant, or uncomment the next line.
     ! SetLeadThrough \On;
     WHILE TRUE DO
       WaitTime 0.5;

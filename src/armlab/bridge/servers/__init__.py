@@ -1,3 +1,3 @@
-"""Server processes that send a cell's rows, parameters and events to other programs and pass on their commands."""
+"""Server processes that send a cell's rows, parameters and events to other programs and return commands to the loop."""
 
 __all__ = []

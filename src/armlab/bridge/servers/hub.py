@@ -96,7 +96,7 @@ class Hub:
     def begin(
         self, tell: Tell, files: Sequence[Path] = (), keep: Callable[[Change], None] = lambda change: None
     ) -> None:
-        """Start to record the events of a run through `tell`, which passes them back to `event`."""
+        """Start recording the events of a run through `tell`, which passes them back to `event`."""
         self._files = text_message("recording", files=[str(file.absolute()) for file in files])
         for outlet in self.outlets.values():
             outlet.send(self._files)
@@ -108,7 +108,7 @@ class Hub:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
     def summary(self) -> dict[str, Any]:
-        """Return the statistics of a run: parameters, obeyed and refused commands by client, and rows by server."""
+        """Return the statistics of a run: parameters, executed and refused commands by client, and rows by server."""
         servers = {name: self._counted(outlet) for name, outlet in self.outlets.items()}
         self.parameters.running = False
         values = self.parameters.values().items()
@@ -242,7 +242,7 @@ class Hub:
                 self.answer(client, "Only operators may end a stop. Run armlab bridge resume.")
 
     def _take_trajectory(self, client: str, part: messages.TrajectoryRequest) -> None:
-        """Store one part of a trajectory, and submit the trajectory with the last part."""
+        """Store one part of a trajectory, and submit the trajectory when the last part arrives."""
         parts = [one for one in self._parts.pop(client, ()) if one.goal == part.goal]
         if part.index == len(parts) < _PARTS:
             parts.append(part)
@@ -261,7 +261,7 @@ class Hub:
                 self.report_goal(order, ("aborted", "refused", str(error)))
 
     def _trajectory(self, last: messages.TrajectoryRequest, points: bytes) -> TrajectoryController | None:
-        """Return the controller of a trajectory within limits checked by its server, or None for an unknown arm."""
+        """Return the controller of a trajectory whose limits its server has checked, or None for an unknown arm."""
         robot = self._robots.get(last.arm)
         if robot is None:
             return None

@@ -40,7 +40,7 @@ class CommandRequest(_Message, tag="command", frozen=True):
 
 
 class TrajectoryRequest(_Message, tag="trajectory", frozen=True):
-    """Part `index` of `count` of a trajectory for one arm; the trajectory starts with the last part."""
+    """Part `index` of `count` of a trajectory for one arm; the trajectory starts when the last part arrives."""
 
     arm: str = ""
     goal: str = ""
@@ -82,7 +82,7 @@ class Resume(_Message, tag="resume", frozen=True):
 
 
 class Release(_Message, tag="release", frozen=True):
-    """Release control of the client's arms; from an operator, of all arms."""
+    """Release control of the client's arms or, if an operator sends it, of all arms."""
 
 
 class Leave(_Message, tag="leave", frozen=True):

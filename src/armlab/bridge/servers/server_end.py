@@ -73,7 +73,7 @@ class LoopEnd:
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
-        """Return the messages up to the first row (bytes; others: dict with "kind"), or None once the loop has ended.
+        """Return the messages (dict with "kind") up to and with the first row (bytes), or None once the loop has ended.
 
         Rows are returned one at a time, because checking for another row takes as long as handling one.
         """
@@ -99,7 +99,7 @@ class LoopEnd:
         """Send a request to the loop; return False if the socket is full.
 
         Commands, settings, renewals and reports are then dropped, because newer ones follow; `receive` sends stops and
-        releases later. Trajectory parts leave room for these; the loop detects missing parts.
+        releases later. Trajectory parts leave room for stops and releases; the loop detects missing parts.
         """
         data = encoded(request)
         with self._lock:

@@ -82,7 +82,7 @@ class AxisMap:
         return self.kinematic((*joints, *external) if self.tail else joints)
 
     def external_scale(self, count: int) -> np.ndarray:
-        """Return SI per wire unit of the external axes after those of the robot, (count,)."""
+        """Return the factors (count,) from wire to SI units for the external axes that follow those of the robot."""
         known = self.beyond[:count]
         return np.concatenate((known, np.full(count - len(known), RADIAN)))
 

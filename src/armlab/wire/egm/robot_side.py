@@ -24,7 +24,7 @@ from armlab.wire.egm.codec import (
 from armlab.wire.egm.types import Drop, RobotAxes
 
 ROBOTWARE = ("6.06", "6.07", "6.10", "7")
-"""Supported RobotWare versions of EgmRobot."""
+"""RobotWare versions whose EgmRobot messages are supported."""
 
 MAX_BYTES = 1024
 """Receive buffer size of abb_libegm and abbegm, which silently drop longer messages."""

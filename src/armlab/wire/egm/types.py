@@ -22,11 +22,11 @@ DROP_REASONS = (
     "after the end",
     "damaged",
 )
-"""Reasons for dropping a datagram: the codec uses the first six, Zenoh rows the last, and the session the others."""
+"""Reasons for dropping a datagram: the codec uses the first six, Zenoh the last one, and the session the others."""
 
 
 class RobotAxes(Protocol):
-    """Robot properties that the codec needs; `robots.Robot` has them."""
+    """Robot properties that the codec needs; `robots.Robot` provides them."""
 
     @property
     def n(self) -> int:
@@ -104,7 +104,7 @@ class Drop(NamedTuple):
 
 
 class Beside(NamedTuple):
-    """Content of a reply in addition to the joints; None omits a field.
+    """Content of a reply in addition to the joint references; None omits a field.
 
     Attributes
     ----------

@@ -205,7 +205,7 @@ _FIRST = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]
 
 
 class Opening(NamedTuple):
-    """Dialect at the start of a stream, whether 2014 may turn out to be 2014i, and the announced version."""
+    """Dialect assumed at the start of a stream, whether 2014 may turn out to be 2014i, and the announced version."""
 
     dialect: Dialect
     is_undecided: bool
@@ -309,7 +309,7 @@ class Decoder:
     ----------
     dialect : name of the dialect; "auto" detects it from the first bytes.
     limits : limits of the stream; default: `Limits.server()`.
-    require_version : whether the stream must start with VERSION; False needs the name of a dialect.
+    require_version : whether the stream must start with VERSION; False requires the name of a dialect.
 
     Attributes
     ----------
@@ -380,7 +380,8 @@ class Decoder:
         if self._error is None and not self._closed and source.stop > source.at:
             left = source.stop - source.at
             self._error = LabCommError(
-                f"Expected the rest of the packet at byte {source.at}, got the end after {left} bytes.", source.at
+                f"Expected the rest of the packet at byte {source.at}, got the end of the stream after {left} bytes.",
+                source.at,
             )
             raise self._error
         self._closed = True

@@ -291,7 +291,7 @@ def reader(node: Type) -> Reader:
 
 
 def runs(node: Struct) -> list[list[Field]]:
-    """Return the fields of a struct in order; each group needs only one call of `struct`."""
+    """Return the fields of a struct in order, in groups that each need only one call of `struct`."""
     found: list[list[Field]] = []
     for _, group in groupby(node.fields, key=lambda field: flat_form(field.type) is not None):
         fields = list(group)
@@ -500,7 +500,7 @@ def _write_struct(node: Struct, wire: Wire) -> Writer:
 
 
 def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
-    """Return a writer that uses one `struct` call; the path of an invalid value is found by writing one by one."""
+    """Return a writer that uses one `struct` call; writing values one by one locates an invalid value."""
     form, counts = _flat_forms(fields)
     pack, parts = form.pack, list(zip([field.name for field in fields], counts, strict=True))
     one_by_one = [_field(field, wire) for field in fields]

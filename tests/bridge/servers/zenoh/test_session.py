@@ -228,7 +228,7 @@ def test_urls(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_nobody_there() -> None:
-    with pytest.raises(LinkError, match=r"Expected a bridge or a Zenoh router .* Check that it runs"):
+    with pytest.raises(LinkError, match=r"Expected a bridge or a Zenoh router .* Check that it is running"):
         LabAddress("127.0.0.1", free_port()).open(0.3)
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
         LabAddress(port=free_port()).open_behind(0.2)

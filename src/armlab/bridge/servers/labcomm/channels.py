@@ -107,7 +107,7 @@ class Peer:
         return self.decoder.feed(data)
 
     def overdue(self, now: float) -> str:
-        """Return the reason for closing the connection at `now` (monotonic) [s], or ""."""
+        """Return the reason for closing the connection at `now` (monotonic) [s], or "" to keep it open."""
         if self.decoder.pending:
             position, since = self._packet
             if position != self.decoder.offset:
@@ -126,7 +126,7 @@ class Peer:
 
 
 OnCommand = Callable[[str, Row, str], None]
-"""Function of channel name, valid command and client address."""
+"""Callback with the channel name, a valid command and the client address."""
 
 
 class Channel:
@@ -215,7 +215,7 @@ class ArmChannel(Channel):
         self._send(self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Handle a command; anything else is counted, and reported by the server.
+        """Handle a command; other samples are counted, and the server reports them.
 
         Raises
         ------
@@ -289,7 +289,7 @@ Value = float | bool | str | Sequence[float] | np.ndarray
 """Value of a parameter."""
 
 OnSet = Callable[[str, Any, str], Any]
-"""Function of parameter name, requested value and client that returns the value in force (None: published later)."""
+"""Callback with a parameter name, the requested value and the client; returns the new value (None: published later)."""
 
 
 class ParameterChannel(Channel):

@@ -296,7 +296,7 @@ _STAMPS = {"t_us": 1000, "tm": 10**6}  # ns per unit
 
 
 class LabCommSource(ThreadSource):
-    """Newest value of one sample type, received in a thread that reconnects; a field t_us or tm is its clock."""
+    """Newest value of one sample type, received in a reconnecting thread; a field t_us or tm provides the timestamp."""
 
     host: str
     port: int

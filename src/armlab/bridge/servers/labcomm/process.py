@@ -1,6 +1,6 @@
 """`LabCommProcess`: LabComm server process between the loop's feed (see `servers.hub`) and its clients.
 
-It has one thread, because passing a row to another thread takes longer than handling it.
+The process has one thread, because passing a row to another thread takes longer than handling it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from armlab.robots import Robot
 
 
 def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
-    """Return an arm's part of a loop row, or None before its first packet or without a valid clock."""
+    """Return an arm's part of a loop row, or None before the first packet or without a valid clock."""
     tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
     if tm is None or not math.isfinite(values[f"{name}.age"]):
         return None

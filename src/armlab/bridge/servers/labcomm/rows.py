@@ -70,7 +70,7 @@ class RowTypes:
         found = found[:2] if text is None else found
         if not found:
             raise LabCommError(
-                "Expected .lc text that defines the sent and the accepted sample, got no such definitions."
+                "Expected .lc text that defines the sent and the accepted sample, got no definition of either."
             )
         self.sent, self.accepted = found[0], found[-1]
         for sample in (self.sent, self.accepted):
@@ -96,7 +96,7 @@ class RowTypes:
         return Row(value.get("tm", 0), *parts)
 
     def rows(self, events: Iterable[Event]) -> list[Row]:
-        """Return the rows among the events, which are samples of the type `sent`."""
+        """Return the rows among the events: the samples of the type `sent`."""
         accepted = self.sent.name, self.sent.type
         return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == accepted]
 

@@ -58,7 +58,7 @@ class Ports:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Clients, packets dropped for slow clients, ignored and refused samples, by channel."""
+        """Numbers of clients, packets dropped for slow clients, and ignored and refused samples, by channel."""
         return {
             name: {
                 "clients": len(self._peers[name]),
@@ -70,7 +70,7 @@ class Ports:
 
     @property
     def clients(self) -> dict[str, tuple[int, int]]:
-        """Data packets sent and dropped, by channel and address; includes disconnected clients."""
+        """Numbers of data packets sent and dropped, by channel and address, including disconnected clients."""
         here = {
             f"{name} {peer.address}": (peer.sent, peer.dropped)
             for name in self._channels
@@ -92,7 +92,7 @@ class Ports:
         self._flush_all(channel)
 
     def turn(self) -> bool:
-        """Wait at most 50 ms for client events; handle a limited share per client; return whether any came."""
+        """Wait at most 50 ms for client events; handle a limited share per client; return whether any event arrived."""
         ready = self._selector.select(_CHECK_EVERY)
         served, most = False, max(_TURN // max(len(ready), 1), _LEAST)
         for key, mask in ready:
@@ -350,12 +350,12 @@ class LabCommServer:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Clients, packets dropped for slow clients, ignored and refused samples, by channel."""
+        """Numbers of clients, packets dropped for slow clients, and ignored and refused samples, by channel."""
         return self._ports.counts
 
     @property
     def clients(self) -> dict[str, tuple[int, int]]:
-        """Data packets sent and dropped, by channel and address; includes disconnected clients."""
+        """Numbers of data packets sent and dropped, by channel and address, including disconnected clients."""
         return self._ports.clients
 
     def close(self) -> None:

@@ -217,7 +217,7 @@ class Goals:
             self._loop.ask(Cancel(goal.client, goal.arm, goal.name))
 
     def running(self, arm: str = "", client: str = "", name: str = "") -> list[Goal]:
-        """Return the active goals of an arm, of a client, or with a name."""
+        """Return the active goals with the given arm, client or name."""
         found = tuple(self._goals.values())
         return [one for one in found if arm in ("", one.arm) and client in ("", one.client) and name in ("", one.name)]
 
@@ -275,7 +275,7 @@ class Goals:
     def _request(self, goal: Goal, message: _Goal) -> list[TrajectoryRequest]:
         robot = self._robots[goal.arm]
         if not goal.name:
-            raise CommandRefused("Expected a goal with an id, got none. Use any id.")
+            raise CommandRefused("Expected a goal with an id, got no id. Use any id.")
         if (goal.client, goal.name) in self._goals or len(self._goals) >= _MOST:
             raise CommandRefused(
                 f"Expected a new goal id and at most {_MOST} active goals. Wait until a goal has ended."

@@ -1,4 +1,4 @@
-"""`DdsServer`: ROS 2 nodes read and command over DDS; the bridge needs no ROS installation."""
+"""`DdsServer`: lets ROS 2 nodes read rows and send commands over DDS; the bridge needs no ROS installation."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
 
 
 def tie_to_loopback() -> int:
-    """Restrict sockets bound to every address, as by Cyclone DDS, to this computer; return their number."""
+    """Restrict sockets bound to every address, as Cyclone DDS binds them, to this computer; return their number."""
     count = 0
     for entry in Path("/proc/self/fd").iterdir():
         if not entry.is_socket():
@@ -222,8 +222,8 @@ def _described(quality: Qos, type_: str) -> Qos:
 class Graph:
     """Publisher of the nodes and their endpoints, for `ros2 node`.
 
-    A Gid has 24 bytes up to Humble and 16 bytes since Iron, as the newest reader: since Iron, readers announce a type
-    hash.
+    A Gid has 24 bytes up to Humble and 16 bytes since Iron. Its size follows the newest reader: since Iron, readers
+    announce a type hash.
     """
 
     _TOPIC, _TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -386,7 +386,7 @@ def _handle(number: int) -> int:
 
 
 class DdsServer(RosServer):
-    """ROS 2 server over DDS at the IPv4 address `host`; domain None: use ROS_DOMAIN_ID."""
+    """ROS 2 server over DDS at the IPv4 address `host`; if `domain` is None, ROS_DOMAIN_ID is used."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]

@@ -1,4 +1,4 @@
-"""`RmwZenohServer`: ROS 2 nodes with rmw_zenoh read and command; the bridge needs no ROS installation."""
+"""`RmwZenohServer`: lets ROS 2 nodes read rows and send commands over rmw_zenoh without a ROS installation."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Origin(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The complete writer id in hexadecimal; it is unique."""
+        """The complete and unique writer id in hexadecimal."""
         return self.writer.hex()
 
 
@@ -156,7 +156,7 @@ _MAY_RETURN = 30.0  # s of numbering after a reader is gone, to reveal messages 
 
 
 class RmwZenohServer(RosServer):
-    """ROS 2 server compatible with rmw_zenoh; domain None: use ROS_DOMAIN_ID."""
+    """ROS 2 server compatible with rmw_zenoh; if `domain` is None, ROS_DOMAIN_ID is used."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._outputs: dict[str, Publisher] = {}

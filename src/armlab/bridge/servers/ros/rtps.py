@@ -83,7 +83,7 @@ def _message(kind: int, flags: int, body: bytes) -> bytes:
 
 
 def _data(writer: bytes, number: int, payload: bytes, inline: bytes = b"") -> bytes:
-    """Return a message addressed to any reader, because the known reader may have been replaced when it arrives."""
+    """Return a message addressed to any reader, because the known reader may be replaced before it arrives."""
     head = struct.pack("<HH", 0, 16) + _ANY + writer + _sn(number)
     if inline:
         inline += _parameter(1, b"")

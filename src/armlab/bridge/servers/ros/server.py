@@ -123,7 +123,7 @@ class RosServer:
         self.latched: frozenset[str] = frozenset([*self._topics.latched, *actions.latched])
 
     def node_of(self, name: str) -> str:
-        """Return the node that a topic or service belongs to: an arm if possible, otherwise the cell."""
+        """Return the node that a topic or service belongs to: the node of an arm if possible, else of the cell."""
         first = name.split("/")[1]
         return first if first in self.nodes else self.nodes[0]
 

@@ -98,8 +98,8 @@ class _Setting:
 class Settings:
     """Parameter settings of all clients; a setting waits for earlier settings of the same parameters.
 
-    The loop's answers name the client and the parameters, not the call. Clients are answered without the lock, because
-    a transport has its own lock.
+    The loop's answers name the client and the parameters, not the call. Clients are answered without holding the lock,
+    because a transport has its own lock.
     """
 
     def __init__(self, loop: LoopEnd) -> None:
@@ -110,7 +110,7 @@ class Settings:
 
     @contextmanager
     def _settling(self) -> Iterator[None]:
-        """Hold the lock, send what is ready to the loop, then answer the completed requests."""
+        """Hold the lock, send the ready settings to the loop, then answer the completed requests."""
         with self._lock:
             yield
             self._ask()
@@ -139,7 +139,7 @@ class Settings:
                     self._settle(one, "")
 
     def refuse(self, message: Mapping[str, Any]) -> bool:
-        """Answer a setting that the loop refused; return False if the message answers something else."""
+        """Answer a setting that the loop refused; return False if the message does not answer a setting."""
         with self._settling():
             asked = [one for one in self._waiting if one.sequence is not None and one.client == message["client"]]
             refused = next((one for one in asked if not one.values.keys().isdisjoint(message["refused"])), None)

@@ -45,7 +45,7 @@ def store() -> Any:
 
 @cache
 def later() -> Any:
-    """Return the message types as of Iron, some of which differ (rmw_dds_common)."""
+    """Return the message types as of Iron, some of which differ from earlier ones (rmw_dds_common)."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -116,7 +116,7 @@ class ArmRow:
         return kinematics.forward(self.robot, self["q"])
 
     def in_tool_axes(self, wrench: Sequence[float]) -> tuple[float, ...]:
-        """Return a wrench (6,), given in base axes at the tool point, in tool axes."""
+        """Return a wrench (6,) at the tool point in tool axes, from the wrench in base axes."""
         (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = self.T_base_tool.tolist()
         x, y, z, u, v, w = wrench
         return (

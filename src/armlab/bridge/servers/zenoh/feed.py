@@ -353,7 +353,7 @@ class ZenohCodec(RowsAsPackets):
 
 
 def _check(schema: RowSchema, robot: Robot) -> None:
-    """Raise if the rows lack this arm, or contain another arm of this name."""
+    """Raise if the rows lack this arm, or contain a different arm with the same name."""
     if robot.name not in schema.robots:
         raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
     schema.require(robot)

@@ -55,7 +55,7 @@ class Attachment(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The complete sender id in hexadecimal; it is unique."""
+        """The complete and unique sender id in hexadecimal."""
         return self.sender.hex()
 
 

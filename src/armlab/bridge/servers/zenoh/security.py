@@ -59,7 +59,7 @@ class Security:
 
     @property
     def is_safe(self) -> bool:
-        """Whether the link is encrypted and users need passwords, so that other computers may command."""
+        """Whether the link is encrypted and users need passwords, so that clients on other computers may command."""
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _lines(path: Path) -> list[tuple[str, str]]:
 
 
 def _rules() -> dict[str, Any]:
-    """Return the access rules: all users may read, query and stop, only `COMMANDER` command, only bridges publish."""
+    """Return the access rules: anyone may read, query and stop; only `COMMANDER` may command, only bridges publish."""
     everything = "armlab/**"
     commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
     reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]

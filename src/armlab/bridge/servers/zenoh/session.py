@@ -56,7 +56,7 @@ def open_session(
     """Return a session, which is closed by `close_session` or at the end of the program.
 
     A "peer" discovers other programs through a router; a "client" communicates only through its router. Addresses are
-    "HOST:PORT"; failed connections are retried forever.
+    "HOST:PORT"; failed connections are retried indefinitely.
     """
     module, safe = zenoh(), security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -94,7 +94,7 @@ def open_session(
 def open_near(
     host: str, port: int, router: str = "", security: Security | None = None, commands: bool = False
 ) -> tuple[Any, str]:
-    """Return the session of a server and its location as text; the session is a router unless the port has one.
+    """Return the session of a server and its location as text; it becomes a router unless the port already has one.
 
     If another server's router uses the port, the session joins it and listens at a port chosen by the system. `router`
     is the "HOST:PORT" of a router on another computer.
@@ -306,7 +306,7 @@ class LabAddress(NamedTuple):
         session = open_session("peer", listen, [where], self.security)
         if not wait_for_router(session, patience):
             close_session(session)
-            check = "certificates and passwords" if self.security.ca or self.security.secret else "that it runs"
+            check = "certificates and passwords" if self.security.ca or self.security.secret else "that it is running"
             raise LinkError(
                 f"Expected a bridge or a Zenoh router at {where} within {patience:g} s, got no connection. "
                 f"Check {check}."
