@@ -24,7 +24,7 @@ def test_each_part_of_a_description_is_named_with_both_values() -> None:
         (replace(LEFT, gravity=[0.0, 9.81, 0.0]), "gravity [m/s^2]: 0 0 -9.807, not 0 9.81 0"),
         (replace(LEFT, abb_axes=range(1, 8)), "ABB's axis numbers: 1 2 7 3 4 5 6, not 1 2 3 4 5 6 7"),
         (replace(LEFT, joint_names=names), "joint 7: named 'axis_6', not 'wrist'"),
-        (replace(LEFT, inertias=np.tile([1.0, *np.zeros(9)], (7, 1))), "inertias: none, not given"),
+        (replace(LEFT, inertias=np.tile([1.0, *np.zeros(9)], (7, 1))), "inertias: missing, not present"),
         (replace(LEFT, prismatic=[0, 0, 1, 0, 0, 0, 0]), "joint 3: revolute, not prismatic"),
         (replace(LEFT, name="mine"), "named 'yumi_left', not 'mine'"),
     ):

@@ -272,7 +272,7 @@ def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
         # the structure is checked wherever a tree comes from
         (RobotError, "the child of joint 'left_mount' among the links",
          lambda: replace(tree, links=[link for link in tree.links if link.name != "left_base"])),
-        (RobotError, r"Expected text that XML can hold in robot 'a\\x00b', got 'a\\x00b'",
+        (RobotError, r"Expected text that XML can represent in robot 'a\\x00b', got 'a\\x00b'",
          lambda: robots.save(replace(robots.load("dh_test"), name="a\0b"), tmp_path / "b.urdf")),
     ]  # fmt: skip
     for error, words, call in cases:

@@ -78,8 +78,8 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
     Parameters
     ----------
     robot : robot description, including gravity.
-    quasi_static : only gravity parameters, as excited by slow motion: masses and first moments.
-    joints : numbers, from 0, of the joints with measured torque; default: all.
+    quasi_static : whether to return only the gravity parameters (masses and first moments), which slow motion excites.
+    joints : numbers (from 0) of the joints with measured torque; default: all.
 
     Raises
     ------
@@ -180,8 +180,8 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
     found = sorted({int(one) for one in given if isinstance(one, int | np.integer)} & {*range(n)})
     if not found or len(found) != len(given):
         raise UnknownName(
-            f"Expected distinct joint numbers from 0 to {n - 1}, got {[*given]}. Count from 0, or omit them to select "
-            "all joints."
+            f"Expected distinct joint numbers from 0 to {n - 1}, got {[*given]}. Count from 0, or omit the numbers to "
+            "select all joints."
         )
     return found
 
@@ -189,8 +189,8 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
 def regressor(robot: Robot, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the regressor Y (..., n, 10 n) of the link parameters: ``inverse_dynamics = Y(q, qd, qdd) pi``.
 
-    It holds for any masses. Columns have the order of `Robot.inertias`, link by link: m, m c (3), Ixx, Ixy, Iyy, Ixz,
-    Iyz, Izz.
+    The regressor does not depend on the masses. Columns have the order of `Robot.inertias`, link by link: m, m c (3),
+    Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
 
     Parameters
     ----------

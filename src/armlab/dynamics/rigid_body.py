@@ -1,4 +1,4 @@
-"""Inverse and forward dynamics of a `Robot` or a `TorqueModel`, with their parts and derivatives."""
+"""Inverse and forward dynamics of a `Robot` or a `TorqueModel`, with their individual terms and derivatives."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def inverse_dynamics_derivatives(
     Returns
     -------
     dtau_dq : (..., n, n) derivative of torque i with respect to position j, in row i and column j.
-    dtau_dqd : (..., n, n) with respect to velocity; twice the `coriolis_matrix`.
-    dtau_dqdd : (..., n, n) with respect to acceleration: the `mass_matrix`.
+    dtau_dqd : (..., n, n) derivative with respect to velocity; twice the `coriolis_matrix`.
+    dtau_dqdd : (..., n, n) derivative with respect to acceleration: the `mass_matrix`.
 
     Raises
     ------
@@ -227,8 +227,8 @@ def forward_dynamics_derivatives(
     Returns
     -------
     dqdd_dq : (..., n, n) derivative of acceleration i with respect to position j, in row i and column j.
-    dqdd_dqd : (..., n, n) with respect to velocity.
-    dqdd_dtau : (..., n, n) with respect to torque: the inverse of the mass matrix.
+    dqdd_dqd : (..., n, n) derivative with respect to velocity.
+    dqdd_dtau : (..., n, n) derivative with respect to torque: the inverse of the mass matrix.
 
     Raises
     ------
@@ -253,8 +253,8 @@ def energy(
     Returns
     -------
     kinetic : (...) kinetic energy [J].
-    potential : (...) potential energy [J]. For a robot, it is zero for masses at the origin of the base; for a model,
-        at q = 0.
+    potential : (...) potential energy [J]. For a robot, it is zero for masses at the origin of the base. For a model,
+        it is zero at q = 0.
 
     Raises
     ------

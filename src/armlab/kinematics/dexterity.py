@@ -1,4 +1,4 @@
-"""Dexterity of a posture: singular values, manipulability, ellipsoids, self-motion."""
+"""Dexterity of a posture: singular values, manipulability, ellipsoids and self-motion."""
 
 from __future__ import annotations
 
@@ -222,9 +222,10 @@ def self_motion(
     ----------
     robot : an arm with more joints than the task needs.
     q : (n,) start posture, inside the limits [rad or m].
-    direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint forward. Alternatively, (n,) joint
-        velocities, which are projected onto the null space, or a function of the joint positions that returns the
-        gradient (n,) of an objective, for example the manipulability; the motion then ascends to the optimum.
+    direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint in its positive direction.
+        Alternatively, (n,) joint velocities, which are projected onto the null space, or a function of the joint
+        positions that returns the gradient (n,) of an objective, for example the manipulability; the motion then
+        ascends to the optimum.
     length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
     points : number of evenly spaced points over the whole length, both ends included, 2 to 1 000 000.
     task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.
@@ -266,7 +267,8 @@ class _Curve:
         if self.rank == robot.n:
             raise RobotError(
                 f"Expected a robot with a redundant joint for the task {task!r}, got {robot.name!r}, which needs all "
-                f'its {robot.n} joints for it. Use an arm with more joints or a smaller task ("axis", "position").'
+                f"its {robot.n} joints for this task. Use an arm with more joints or a less restrictive task "
+                '("axis", "position").'
             )
 
     def begin(self, direction: int | ArrayLike | Callable[[np.ndarray], ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
@@ -275,7 +277,7 @@ class _Curve:
         if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
             raise SingularPoseError(
                 f"Expected a regular start posture, got the singular posture {q.tolist()}, where the self-motion "
-                "has no unique tangent. Start close to it."
+                "has no unique tangent. Start close to this posture."
             )
         if callable(direction):
             self.climbs = direction
@@ -395,7 +397,8 @@ def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) 
         k = int(np.argmax(outside))
         raise ShapeError(
             f"Expected q inside the limits of {robot.name!r}, got {start[k]:.6g} for joint {k + 1} "
-            f"({robot.joint_names[k]}), limits {robot.q_min[k]:.6g} to {robot.q_max[k]:.6g}. Start inside the limits."
+            f"({robot.joint_names[k]}), with limits {robot.q_min[k]:.6g} to {robot.q_max[k]:.6g}. Start inside the "
+            "limits."
         )
     lengths, counts = (int, float, np.integer, np.floating), (int, np.integer)
     if not (

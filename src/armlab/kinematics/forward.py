@@ -43,7 +43,8 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
 def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the poses (..., n, 4, 4) of link frames 1 ... n in the base.
 
-    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``: its z axis is joint axis i, and the frame moves with link i.
+    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``: the z axis of frame i is joint axis i, and the frame moves with
+    link i.
 
     Parameters
     ----------
@@ -103,19 +104,20 @@ def forward_jacobian(
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     frame : axes of the Jacobian, "base" or "tool"; the pose is in the base in both.
-    out : pair of output arrays (..., 4, 4) and (..., 6, n); None: allocate new ones. Reusing large ones saves half of
-        the time.
+    out : pair of output arrays (..., 4, 4) and (..., 6, n); default: newly allocated. Reusing large arrays saves half
+        of the time.
     threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Returns
     -------
-    T_base_tool : (..., 4, 4).
-    J : (..., 6, n), rows [v; w].
+    T_base_tool : (..., 4, 4) pose of the tool in the base.
+    J : (..., 6, n) Jacobian with rows [v; w].
 
     Raises
     ------
     UnknownName : if `frame` is not "base" or "tool".
-    ShapeError : if the last axis of `q` does not have length n, or `out` is not a pair of separate fitting arrays.
+    ShapeError : if the last axis of `q` does not have length n, or `out` is not a pair of separate arrays of matching
+        shape.
     RobotError, ConfigError : as in `forward`.
     """
     chain, tool = _resolved(robot, frame)

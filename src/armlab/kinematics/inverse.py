@@ -15,11 +15,11 @@ from armlab.robots import Robot
 REASONS = ("solved", "out of reach", "limits", "singular", "iterations", "bound")
 _TEXTS = np.array(REASONS)
 _EXPLANATIONS = {
-    "out of reach": "no start came closer, with or without the limits of revolute joints",
+    "out of reach": "no start reduced the error further, with or without the limits of revolute joints",
     "limits": "only postures outside the joint limits reach the goal",
     "singular": "the only start ended at a singular posture, where no joint reduces the error",
     "iterations": "the error was still falling at the iteration limit",
-    "bound": "every joint has reached its largest step from the start",
+    "bound": "every joint has moved by its largest allowed step from the start",
 }
 Task = Literal["pose", "position", "axis", "direction"]
 Objective = Literal["posture", "mid_range", "limits", "manipulability"]
@@ -51,9 +51,9 @@ def inverse(
 
     The solver takes Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
     ``e = [p_goal - p; log(R_goal R^T)]``, where metres are scaled by three over the length of the arm. Joints that
-    would leave their limits are held there while the other joints compensate. If the search stalls, it restarts from a
-    table of random postures, beginning with those that place the tool closest to the goal. The result is always within
-    the limits.
+    would leave their limits stay at the limits, and the other joints compensate. If the search stalls, it restarts from
+    a table of random postures, beginning with those that place the tool closest to the goal. The result is always
+    within the limits.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def inverse(
     q0 : (n,) or (..., n) initial posture [rad or m], for all goals or for each goal; clipped to the limits. Default:
         the home posture or a random posture, whichever places the tool closer to the goal.
     task : "pose", "position" (of the tool point), "axis" (position and direction of a tool axis) or "direction" (of
-        that axis only).
+        a tool axis only).
     axis : (3,) tool axis for the tasks "axis" and "direction", in the tool frame.
     objective : function to minimise along the self-motion that the task leaves free. With m the middle and r half the
         range of a joint, and ``x = (q - m) / r``:
@@ -73,7 +73,8 @@ def inverse(
         "manipulability": ``-log(det(J J^T)) / 2`` of the task rows of the Jacobian.
     posture : (n,) or (..., n) target of the objective "posture"; default: `q0`, or the home posture without `q0`.
     tol : position tolerance [m] and rotation tolerance [rad]; one number for both, or a pair.
-    maxiter : iterations per start, 0 to 1 000 000; if all starts fail, the best continues for as many again.
+    maxiter : iterations per start, 0 to 1 000 000; if all starts fail, the best start continues for as many more
+        iterations.
     starts : maximum number of starts; 1: only `q0`.
     damping : lambda divided by the squared error (ikinePOE's lambda); a failed step multiplies it by 8.
     seed : seed of the random postures; results are reproducible, and the same for a batch as for single goals.
@@ -93,7 +94,7 @@ def inverse(
     UnknownName : if `task` or `objective` is unknown.
     RobotError : if `robot` is not a `Robot`.
     ConfigError : if `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of range, or `posture` is given
-        without its objective.
+        without the objective "posture".
     NotConverged : with `strict`, if a goal is not solved; `best` is the `IkSolution`.
 
     References
@@ -230,7 +231,7 @@ def kernel_objective(
     robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
     if posture is not None and name != "posture":
-        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Omit one of them.')
+        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Omit the posture.')
     if name is None or name == "manipulability":
         return _KINDS.get(name or "", 0), None, None
     if name == "posture":

@@ -40,7 +40,7 @@ class IkPath:
         "out of reach": the pose is further from the first joint than the total length of the links;
         "limits": a joint is at its limit;
         "singular": no joint reduces the error;
-        "jump": the pose is reached on this branch, but further than `max_step` from the previous row;
+        "jump": the pose is reached on this branch, but with a step from the previous row above `max_step`;
         "iterations": the error was still falling at the iteration limit.
     branch_changes : (k,) indices of the rows at which the path breaks and continues on a different branch.
     iterations : (N,) number of descent iterations.
@@ -207,7 +207,7 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
-    """Return the detour, from the row where it leaves the path to row k, that leads furthest beyond k."""
+    """Return the detour, from the row where it leaves the path to row k, that continues furthest beyond row k."""
     best, furthest, seen = None, -1, []
     before = slice(k - 1, max(0, k - LOOK_BACK) - 1 if k > LOOK_BACK else None, -1)
     for q in solutions[0][solutions[1]]:

@@ -1,6 +1,7 @@
 """Unit quaternions wxyz as arrays (..., 4).
 
-q and -q represent the same rotation. Every function accepts and preserves any leading axes. NaN gives NaN.
+q and -q represent the same rotation. Every function accepts and preserves any leading axes. NaN inputs give NaN
+results.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Poses SE(3) as arrays (..., 4, 4) and twists [v; w] (..., 6).
 
-Every function accepts and preserves any leading axes. NaN gives NaN.
+Every function accepts and preserves any leading axes. NaN inputs give NaN results.
 """
 
 from __future__ import annotations
@@ -189,8 +189,8 @@ def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarr
 
     Parameters
     ----------
-    T : (..., 4, 4).
-    tolerance : largest entry of ``abs(RᵀR - I)`` that passes.
+    T : (..., 4, 4) matrices.
+    tolerance : largest accepted entry of ``abs(RᵀR - I)``.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> n
 
     Parameters
     ----------
-    T : (..., 4, 4).
+    T : (..., 4, 4) poses.
     tolerance : largest entry of ``abs(RᵀR - I)`` that counts as rounding.
 
     Raises
@@ -223,12 +223,12 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Parameters
     ----------
-    M : (..., 4, 4).
+    M : (..., 4, 4) matrix.
 
     Returns
     -------
-    T : (..., 4, 4).
-    distance : (...) Frobenius norm of the change of the rotation.
+    T : (..., 4, 4) nearest pose.
+    distance : (...) Frobenius norm of the change in the rotation.
 
     Raises
     ------
@@ -274,7 +274,7 @@ def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
 def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
     """Return [v; w] of a twist [w; v], or [f; m] of a wrench [m; f], in the shape of the input.
 
-    Use it for data from a library with the angular part first.
+    Use this function for data from a library that puts the angular part first.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
     """Return [w; v] of a twist [v; w], or [m; f] of a wrench [f; m]; inverse of `from_angular_first`.
 
-    Use it for a library with the angular part first. The result has the shape of the input.
+    Use this function for a library that puts the angular part first. The result has the shape of the input.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def mean(
 
     Parameters
     ----------
-    T : (N, ..., 4, 4), N ≥ 1.
+    T : (N, ..., 4, 4) poses, N ≥ 1.
     weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a pose, even if it is missing.
     method : "chordal" or "geodesic" mean of the rotations.
 

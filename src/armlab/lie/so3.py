@@ -1,6 +1,6 @@
 """Rotations SO(3) as arrays (..., 3, 3) and rotation vectors w (..., 3) [rad].
 
-Every function accepts and preserves any leading axes. NaN gives NaN.
+Every function accepts and preserves any leading axes. NaN inputs give NaN results.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ For larger errors, use `project`.
 """
 SKEW_TOLERANCE = 1e-9
 ONE_NEAREST = 1e-9
-NEGLIGIBLE = 1e-9  # largest entry of |RᵀR - I| for which a rotation keeps its bits
+NEGLIGIBLE = 1e-9  # largest entry of |RᵀR - I| for which a rotation is left unchanged
 
 UNDEFINED = 1e-13  # length below which a direction is lost in rounding
 
@@ -42,7 +42,7 @@ def hat(w: ArrayLike) -> np.ndarray:
 
     Parameters
     ----------
-    w : (..., 3).
+    w : (..., 3) vector.
     """
     w = arguments.array(w, (3,), "w")
     W = np.zeros((*w.shape, 3))
@@ -122,7 +122,7 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
     Parameters
     ----------
     R : (..., 3, 3).
-    tolerance : largest entry of ``abs(RᵀR - I)`` that passes.
+    tolerance : largest accepted entry of ``abs(RᵀR - I)``.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
 def orthonormalise(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarray:
     """Project rounded rotations onto exact rotations; return all other matrices unchanged.
 
-    Matrices that are orthonormal to 1e-9 keep their bits. `is_rotation` detects matrices that are not rotations.
+    Matrices that are orthonormal to 1e-9 are left unchanged. `is_rotation` detects matrices that are not rotations.
 
     Parameters
     ----------
@@ -164,12 +164,12 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Parameters
     ----------
-    M : (..., 3, 3).
+    M : (..., 3, 3) matrix.
 
     Returns
     -------
     R : (..., 3, 3) the minimiser of the Frobenius norm of ``R - M``.
-    distance : (...) that norm.
+    distance : (...) the minimum of this norm.
 
     Raises
     ------
@@ -295,7 +295,7 @@ def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
     Parameters
     ----------
     R_a, R_b : (..., 3, 3) rotations; leading axes broadcast with those of the axis.
-    axis : (..., 3) in a, of any non-zero length.
+    axis : (..., 3) axis in frame a, of any non-zero length.
 
     Raises
     ------
@@ -314,7 +314,7 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
 
     Parameters
     ----------
-    axis : (..., 3) of any non-zero length; only its direction counts.
+    axis : (..., 3) axis of any non-zero length; only the direction matters.
     angle : (...) [rad], leading axes broadcast.
 
     Raises
@@ -337,7 +337,7 @@ def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    axis : (..., 3) of length 1.
+    axis : (..., 3) unit vector.
     angle : (...) in [0, π] [rad].
 
     Raises
@@ -357,7 +357,7 @@ def _direction(axis: ArrayLike) -> np.ndarray:
     length = _length(axis)
     bad = (length == 0) | (length == np.inf)
     if bad.any():
-        raise ShapeError(f"Expected an axis of finite, non-zero length, got {axis[bad][0]}. Drop such samples.")
+        raise ShapeError(f"Expected an axis of finite, non-zero length, got {axis[bad][0]}. Drop these samples.")
     return axis / length[..., None]
 
 
@@ -381,7 +381,7 @@ def mean(
 
     Parameters
     ----------
-    R : (N, ..., 3, 3), N ≥ 1.
+    R : (N, ..., 3, 3) rotations, N ≥ 1.
     weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a rotation, even if it is missing.
     method : "chordal" or "geodesic".
 
@@ -389,7 +389,7 @@ def mean(
     ------
     ShapeError : an argument is not a rotation, the weights have the wrong shape, or the mean is undefined: with the
         singular values ``σ`` of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
-    NotConverged : the geodesic mean is not unique (rotations about a half turn apart).
+    NotConverged : the geodesic mean is not unique (rotations are approximately half a turn apart).
     UnknownName : unknown method.
 
     Reference: R. Hartley, J. Trumpf, Y. Dai, H. Li, Rotation averaging, Int. J. Computer Vision 103, 2013.

@@ -23,7 +23,7 @@ RAMP_TIME = 0.1
 LIKE_DEGREES = (8.0 * np.pi, 500.0)
 """Limits between these values [rad] are usually in degrees: few axes exceed four revolutions, and ABB axes reach 96."""
 SCREW_TOLERANCE = 1e-9
-"""Largest error of the length and of the pitch of a unit screw without pitch."""
+"""Largest error in the length and in the pitch of a unit screw with zero pitch."""
 
 
 class Details(TypedDict, total=False):
@@ -153,14 +153,14 @@ def from_dh(
     links = np.tile(np.eye(4), (len(a) + 1, 1, 1))
     if modified:
         links[:-1] = along_x @ _screw_z(offset, d)
-    else:  # a joint commutes with its own Rz(offset) Tz(d): the rotation goes before it, the translation after it
+    else:  # a joint commutes with its own Rz(offset) Tz(d): place the rotation before it, the translation after it
         links[:-1] = _screw_z(offset, np.zeros_like(d))
         links[1:] = _screw_z(np.zeros_like(d), d) @ along_x @ links[[*range(1, len(a)), -1]]
     return from_links(name, links, prismatic, **details)
 
 
 _NEAR = 0.06  # sufficient inverse condition number of a home posture
-_STEPS = (0.25, 0.5, 0.75, 1.0, 1.25)  # search radii, as fractions of the room around the middle
+_STEPS = (0.25, 0.5, 0.75, 1.0, 1.25)  # search radii, as fractions of the range around the middle
 _TRIES = 64
 
 
@@ -376,7 +376,7 @@ def _check_screws(name: str, screws: np.ndarray) -> None:
 
 
 def frames_along(z: np.ndarray) -> np.ndarray:
-    """Return rotations with third column along z (n, 3); exact for coordinate axes, the identity for (0, 0, 1)."""
+    """Return rotations whose third column is along z (n, 3); exact for coordinate axes, the identity for (0, 0, 1)."""
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
     x = x - (x * z).sum(axis=1, keepdims=True) * z

@@ -9,8 +9,8 @@ from armlab.lie import so3
 from armlab.robots.robot import Robot
 
 _EQUAL = 1e-9  # m, rad: smaller differences are rounding, which `Robot.hash` also ignores
-_NAMED = 6  # differences listed in an error
-_LIMITS = {  # field -> words, unit for revolute joints, unit for prismatic joints
+_NAMED = 6  # largest number of differences listed in an error
+_LIMITS = {  # field -> description, unit for revolute joints, unit for prismatic joints
     "q_min": ("lower position limit", "rad", "m"),
     "q_max": ("upper position limit", "rad", "m"),
     "qd_max": ("speed limit", "rad/s", "m/s"),
@@ -47,7 +47,7 @@ def differences(robot: Robot, other: Robot) -> tuple[str, ...]:
     for name, words in _PLAIN.items():
         a, b = getattr(robot, name), getattr(other, name)
         if (a is None) != (b is None):
-            found.append(f"{words}: {'none' if a is None else 'given'}, not {'none' if b is None else 'given'}")
+            found.append(f"{words}: " + ("missing, not present" if a is None else "present, not missing"))
         elif a is not None and not np.allclose(a, b, rtol=0.0, atol=_EQUAL):
             short = np.size(a) <= robot.n and name != "inertias"
             found.append(f"{words}: {_numbers(a)}, not {_numbers(b)}" if short else f"other {words}")

@@ -1,6 +1,7 @@
 """Conversions between joint orders and between the two sides of the gears, along the last axis.
 
-armlab numbers joints from base to tool, and measures each relative to its parent; controllers have other conventions:
+armlab numbers joints from base to tool, and measures each joint relative to its parent link. Controllers have other
+conventions:
 
 * order: ABB's axis 7 of a YuMi arm is the third joint (`abb_to_logical`, `logical_to_abb`);
 * gears and rods: ``q = G q_motor`` (`motor_to_joint` and the three related functions). G has off-diagonal entries if a
@@ -95,7 +96,7 @@ def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
 
 
 def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the product; a missing value (NaN) affects only the joints or motors coupled to it."""
+    """Return the matrix-vector product; a missing value (NaN) affects only the joints or motors coupled to it."""
     known = np.isfinite(values)
     result = np.where(known, values, 0.0) @ matrix.T
     return np.where(~known @ (matrix.T != 0), np.nan, result)

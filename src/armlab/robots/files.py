@@ -74,7 +74,7 @@ def load_chosen(name: str, options: Mapping[str, str]) -> Robot:
 
 
 def description(name: str | Path) -> Path | None:
-    """Return the description file of a robot, or None for a library robot; raise the errors of `load`."""
+    """Return the description file of a robot, or None for a library robot; raise the same errors as `load`."""
     suffix = Path(str(name)).suffix.lower()
     if suffix in (".urdf", ".toml"):
         return Path(name)
@@ -130,7 +130,7 @@ def _of_example_robot_data(name: str) -> Path | None:
 @cache
 def _example_robot_data() -> dict[str, Path]:
     """Return the URDF files of the package example-robot-data by name; empty without the package."""
-    from importlib.metadata import PackageNotFoundError, distribution  # here: a third of the time to import kinematics
+    from importlib.metadata import PackageNotFoundError, distribution  # lazy: a third of the import time of kinematics
 
     try:
         files = distribution("example-robot-data").files or ()

@@ -70,7 +70,7 @@ def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
     Parameters
     ----------
     T_a_b : (..., 4, 4) pose of b in a.
-    pi : (..., 10) in frame b.
+    pi : (..., 10) parameters in frame b.
 
     Raises
     ------

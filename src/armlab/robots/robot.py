@@ -40,7 +40,7 @@ class Robot:
     Attributes
     ----------
     name : name of the robot.
-    links : (n+1, 4, 4) constant poses, mount to first joint, joint to joint, last joint to flange.
+    links : (n+1, 4, 4) constant poses: mount to first joint, joint to next joint, last joint to flange.
     prismatic : (n,) bool, True for prismatic joints.
     q_min, q_max : (n,) position limits [rad or m]; infinite where unlimited.
     qd_max, qdd_max : (n,) limits of speed and acceleration.
@@ -55,8 +55,8 @@ class Robot:
     source : sources of the numbers.
     tau_max : (n,) limits of torque or force [N m or N]; infinite where unlimited.
     inertias : (n, 10) inertial parameters of each link in its frame (see `robots.inertia`); None: unknown.
-    meshes : n + 1 tuples of `Mesh`: for the mount in its frame, then for links 1 ... n, each in its link frame; or
-        empty.
+    meshes : n + 1 tuples of `Mesh`: first those of the mount in its frame, then those of links 1 ... n in their link
+        frames; empty without meshes.
     drives : drive parameters for simulation, as pairs of a name in `DRIVES` and n numbers; 0: unknown.
 
     Raises
@@ -191,7 +191,7 @@ class Robot:
         Numbers are rounded to 12 decimals, so that machines with differently rounded sines agree. Torque limits
         and inertias are included if present; meshes never are.
         """
-        import hashlib  # OpenSSL costs 2 ms
+        import hashlib  # a lazy import, because OpenSSL costs 2 ms
 
         digest = hashlib.sha256()
         for field in fields(self):
@@ -349,7 +349,7 @@ def arm_length(robot: Robot) -> float:
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return the ends of the common normal of two axes, given as points and unit vectors, to draw a link."""
+    """Return the ends of the common normal of two axes, given as points and unit vectors, for drawing a link."""
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2

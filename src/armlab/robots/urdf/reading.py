@@ -92,7 +92,7 @@ def _link(element: Element) -> Link:
 
 
 def _inertia(inertial: Element) -> np.ndarray | None:
-    """Return the parameters about the link's origin, or None if all are 0, as in links that only define a frame."""
+    """Return inertial parameters about the link's origin, or None if all are 0, as in links that only define frames."""
     mass, moments = inertial.need("mass").number("value"), inertial.need("inertia")
     xx, xy, xz, yy, yz, zz = (moments.number(f"i{axes}") for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     about_centre = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -161,7 +161,7 @@ def _origin(element: Element) -> np.ndarray:
 def _rotation(origin: Element) -> np.ndarray:
     """Return the rotation of ``quat_xyzw``, the alternative to rpy in URDF 1.2."""
     if "rpy" in origin.attributes:
-        raise origin.error("rpy or quat_xyzw of <origin>", "both", "Remove one.")
+        raise origin.error("rpy or quat_xyzw of <origin>", "both", "Remove one of them.")
     x, y, z, w = origin.numbers("quat_xyzw", 4)
     try:
         return quaternion.to_matrix([w, x, y, z])
@@ -198,7 +198,8 @@ class Element:
     def one(self, tag: str) -> Element | None:
         found = self.all(tag)
         if len(found) > 1:
-            raise found[1].error(f"one <{tag}> inside <{self.tag}>", f"another in line {found[0].line}", "Remove one.")
+            got = f"another <{tag}> in line {found[0].line}"
+            raise found[1].error(f"one <{tag}> inside <{self.tag}>", got, "Remove one of them.")
         return found[0] if found else None
 
     def need(self, tag: str) -> Element:

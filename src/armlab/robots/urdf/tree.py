@@ -67,8 +67,8 @@ class Joint:
     parent, child : names of the links that it connects.
     T_parent_child : (4, 4) pose of the child, and of the joint, in the parent at q = 0.
     axis : (3,) direction of the axis in the child's frame, of any length.
-    q_min, q_max : limits of position [rad or m]; infinite without a limit, 0 where a required limit is missing.
-    qd_max, tau_max : limits of speed and of torque or force; infinite where unknown.
+    q_min, q_max : position limits [rad or m]; infinite without a limit, 0 where a required limit is missing.
+    qd_max, tau_max : limits of speed and of torque (or force); infinite where unknown.
     follows : mimic relation, or None.
     line : first line of the element in the file.
     damping, friction : viscous and Coulomb friction; 0 where unknown.
@@ -121,7 +121,7 @@ class Mimic:
 
         Returns
         -------
-        (..., n).
+        (..., n) joint positions.
 
         Raises
         ------
@@ -222,10 +222,10 @@ class Tree:
         the inertias and meshes of all links rigidly attached to a link of the arm. Branches on other moving joints are
         omitted, with a warning that states their mass. The home posture is a non-singular posture near the middle of
         all ranges. Gravity is `GRAVITY` in the axes of the root. A joint traversed from child to parent rotates about
-        the opposite axis, so that its position keeps its meaning. A mimic joint keeps its own position; see `mimic`. A
-        speed or effort of 0 means unknown, and a limit of 1e9 or more means unlimited. An inertia that violates the
-        triangle inequality is used, and an inertia without a mass is omitted, each with a warning. `Robot.source`
-        lists all assumptions and omissions.
+        the opposite axis, so that the sign of its position stays the same. A mimic joint keeps its own position; see
+        `mimic`. A speed or effort of 0 means unknown, and a limit of 1e9 or more means unlimited. An inertia that
+        violates the triangle inequality is used, and an inertia without a mass is omitted, each with a warning.
+        `Robot.source` lists all assumptions and omissions.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class Tree:
         Raises
         ------
         UnknownName : if a link or a locked joint does not exist; the message lists the available names.
-        RobotError : if the tip is missing and several branches move; if nothing moves between the two; if a joint
+        RobotError : if the tip is missing and several branches move; if no joint between base and tip moves; if a joint
             between them is floating or planar, has no axis, no range or reversed limits, or mimics a missing joint;
             or if the inertia of a link is not physically consistent. The message states the file and line. Other parts
             of the file are not checked.
@@ -338,11 +338,11 @@ def _check_ends(tree: Tree) -> None:
                 from difflib import get_close_matches
 
                 close = get_close_matches(name, names, n=1)
-                advice = f"Perhaps {close[0]!r} is meant." if close else "Add the link or correct the name."
+                advice = f"Did you mean {close[0]!r}?" if close else "Add the link or correct the name."
                 raise fault(tree, joint, f"the {end} of joint {joint.name!r} among the links", repr(name), advice)
         if joint.child in above:
             other = above[joint.child]
-            got = f"joint {joint.name!r} beside {other.name!r} of line {other.line}"
+            got = f"joint {joint.name!r} in addition to {other.name!r} in line {other.line}"
             advice = "A URDF must be a tree, so remove one of the joints."
             raise fault(tree, joint, f"one joint above link {joint.child!r}", got, advice)
         above[joint.child] = joint
@@ -387,7 +387,7 @@ class Step:
     joint: Joint
     # pose of the joint's armlab frame, z along the axis, in the frame of the previous joint, or in the base
     T_last_link: np.ndarray
-    T_link_body: dict[str, np.ndarray]  # pose in that frame of each attached link
+    T_link_body: dict[str, np.ndarray]  # pose of each attached link in that frame
 
 
 def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
@@ -516,7 +516,7 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
     if odd:
         warnings.warn(
             f"Expected principal moments of every inertia in {tree.file} to satisfy the triangle inequality, got "
-            f"violations at {', '.join(odd)}. They are used unchanged.",
+            f"violations at {', '.join(odd)}. These inertias are used unchanged.",
             UserWarning,
             stacklevel=3,
         )

@@ -20,7 +20,7 @@ _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]
 def write_urdf(
     robot: Robot, friction: Sequence[tuple[float, float]] = (), more: Mapping[str, str] | None = None, prefix: str = ""
 ) -> str:
-    """Return the URDF of a robot; a comment at the top contains the fields that URDF cannot express, and `more`.
+    """Return the URDF of a robot; a comment at the top contains `more` and the fields that URDF cannot express.
 
     `friction`: damping [N m s/rad] and Coulomb friction [N m] of each joint; default: from the robot's
     drives. `prefix` is prepended to the name of each link.
@@ -52,7 +52,7 @@ def _check_text(robot: Robot) -> None:
     files = [mesh.file for meshes in robot.meshes for mesh in meshes]
     for text in (robot.name, robot.source, *robot.ros_joint_names, *files):
         if _NOT_IN_XML.search(text):
-            raise RobotError(f"Expected text that XML can hold in robot {robot.name!r}, got {text!r}. Rename it.")
+            raise RobotError(f"Expected text that XML can represent in robot {robot.name!r}, got {text!r}. Rename it.")
 
 
 def _comment(robot: Robot, more: Mapping[str, str]) -> str:
