@@ -110,7 +110,7 @@ def test_meshes_of_collada_are_read(tmp_path: Path) -> None:
 
 def test_missing_meshes_are_told_once(tmp_path: Path) -> None:
     (tmp_path / "broken.stl").write_text("solid of nothing")
-    with pytest.warns(UserWarning, match=r"irb2400, got no readable gone\.stl, broken\.stl") as told:
+    with pytest.warns(UserWarning, match=r"irb2400, but cannot read gone\.stl, broken\.stl") as told:
         found = mesh_bodies(with_mesh("gone.stl", "broken.stl"), [tmp_path])
     assert len(told) == 1
     assert found == [None] * 7

@@ -173,7 +173,7 @@ def test_a_model_estimates_where_nobody_else_does(
 
 def test_a_model_of_another_arm_is_refused(bridge: Any, following: Any, hear_until: Any, model: TorqueModel) -> None:
     bridge(RIGHT)
-    with pytest.raises(ModelMismatchError, match="Expected a model of yumi_right, got one of 'yumi_left'"):
+    with pytest.raises(ModelMismatchError, match="Expected a model of yumi_right, got a model of 'yumi_left'"):
         hear_until(following(models=[model]), lambda: False)
 
 

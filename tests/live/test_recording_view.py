@@ -114,7 +114,7 @@ def test_robots_come_from_the_file_the_library_or_the_caller(tmp_path: Path, tab
     assert read_arms([path])[0].robot == special
     assert read_arms([path], [special])[0].robot is special
     log.write(table(), tmp_path / "run.csv")
-    with pytest.raises(RobotError, match="a file without a robot"):
+    with pytest.raises(RobotError, match="a file that names no robot"):
         read_arms([tmp_path / "run.csv"])
     assert read_arms([tmp_path / "run.csv"], [RIGHT])[0].robot is RIGHT
 

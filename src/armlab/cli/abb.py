@@ -152,7 +152,7 @@ def _take(steps: Sequence[SetupStep], dry_run: bool) -> None:
         try:
             step.run()
         except LinkError as error:
-            raise LinkError(f"Expected to {step.text}, but this step failed. {error}") from None
+            raise LinkError(f"Expected to {step.text}, but it failed. {error}") from None
         result(f"done: {step.text}")
 
 

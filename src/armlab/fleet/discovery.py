@@ -50,8 +50,8 @@ def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
 
     Raises
     ------
-    LinkError : no router.
-    MissingExtra : no Zenoh.
+    LinkError : no router at this address.
+    MissingExtra : Zenoh is not installed.
     """
     session = place.open_behind()
     try:
@@ -120,7 +120,7 @@ class Router:
     Parameters
     ----------
     host, port : listening address; port 0: any free port.
-    connect : "HOST:PORT" of other routers whose robots become visible through this router; retried forever.
+    connect : "HOST:PORT" of other routers whose robots become visible through this router; retried indefinitely.
     security : certificates and users; see `servers.zenoh.security.Security`.
 
     Attributes
@@ -132,7 +132,7 @@ class Router:
     ConfigError : certificates and users are missing on a router that is not local or connects to a remote router, so
         that any client could send commands.
     LinkError : the port is in use.
-    MissingExtra : no Zenoh.
+    MissingExtra : Zenoh is not installed.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """`identify` fits one torque model to many logs with bit-identical results on any executor; `SumCache` stores sums.
 
-With a cache, ten additional logs cost only the time of ten logs, and an interrupted run can continue. The name of a
+With a cache, adding ten logs takes only the time of ten logs, and an interrupted run can continue. The name of a
 cache file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which
 includes the robot), the armlab version and the version of the sums. The file contains plain arrays in the .npz format,
 never objects; an unreadable file is rewritten.
@@ -73,16 +73,16 @@ def identify(
     """Identify the torque model of an arm from many logs of free motion.
 
     The first few minutes are fitted as in `identify.fit_dynamics`. Workers then reduce every log to sums. The sums are
-    added in this process in the order of the logs, so the result is bit-identical on any executor.
+    added in this process in the order of the logs, so the result is bit-identical for any executor.
 
     Parameters
     ----------
     logs : tables, files or folders of one arm, without contact.
     robot : the arm. Recordings of other arms are skipped.
-    executor : any `concurrent.futures.Executor`, also ``Client.get_executor(pure=False)`` of Dask, whose workers read
-        the files by path. None: run in this process.
+    executor : any `concurrent.futures.Executor`, including ``Client.get_executor(pure=False)`` of Dask. Dask workers
+        read the files by path. None: run in this process.
     progress : called with (done, total, what).
-    cache : folder that stores the sums of files, so that adding ten logs costs only the time of ten logs; None: no
+    cache : folder that stores the sums of files, so that adding ten logs takes only the time of ten logs; None: no
         cache.
     columns : column names in files of other programs, see `log.read`.
 
@@ -93,8 +93,8 @@ def identify(
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped (states the reason).
-    NotExcited : the logs together do not determine all parameters (names the undetermined ones).
+    LogError : there are no logs, or all were skipped (the error states the reason).
+    NotExcited : the logs together do not determine all parameters (the error names the others).
 
     References
     ----------
@@ -121,7 +121,7 @@ def identify(
 def _draft(
     jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress, columns: str | None
 ) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
-    """Fit the first usable logs, with as many logs as the model needs.
+    """Fit the first usable logs, as many as the model needs.
 
     Also return the names of these logs, and why the logs before and between them are unusable. Workers test each log
     before it is read in this process, so that a log that crashes its reader does not crash this process.
@@ -148,7 +148,7 @@ def _draft(
 
 
 class _Tried:
-    """Rate and duration of each of the first logs, or why it is unusable."""
+    """Rate and duration of each of the first logs, or the reason why the log is unusable."""
 
     def __init__(
         self,
@@ -190,7 +190,7 @@ class _Tried:
 
 
 def _copies(known: dict[str, str], rows: Mapping[str, str]) -> dict[str, str]:
-    """Return why each log with the rows of an earlier log is skipped; `known` maps row hashes to names."""
+    """Return the reason for skipping each log with the rows of an earlier log; `known` maps row hashes to names."""
     return {
         name: f"it repeats the rows of {known[sha256]}, which would overstate the information"
         for name, sha256 in rows.items()

@@ -103,7 +103,7 @@ def _estimate(
     known = np.isfinite(table["wrench_hat"]).all(axis=1)
     if not known.any():
         raise LogError(
-            f"Expected rows with finite q, qd and tau in {log}, got none in {len(table)} rows. Give another log."
+            f"Expected rows with finite q, qd and tau in {log}, got none in {len(table)} rows. Pass another log."
         )
     found = contacts(table)
     inside = np.zeros(len(table), dtype=bool)
@@ -140,7 +140,7 @@ def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
         for name, log in _expanded(one, number):
             if isinstance(log, Path):
                 if (file := log.resolve()) in files:
-                    raise ShapeError(f"Expected each log only once, got {name} twice. Remove one.")
+                    raise ShapeError(f"Expected each log only once, got {name} twice. Remove the duplicate.")
                 files.add(file)
             found[name] = log
     if not found:
@@ -162,10 +162,10 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
     if path.is_dir() and not (path / "metadata.yaml").exists():  # a rosbag2 folder is a log itself
         files = sorted(file for file in path.rglob("*") if file.suffix in _ENDINGS and file.is_file())
         if not files:
-            raise LogError(f"Expected logs in {path}, got no {', '.join(sorted(_ENDINGS))}. Give another folder.")
+            raise LogError(f"Expected logs in {path}, got no {', '.join(sorted(_ENDINGS))} file. Pass another folder.")
         return [(str(file), file) for file in files]
     if not path.exists():
-        raise LogError(f"Expected a log or a folder of logs, got the missing path {path}. Correct it.")
+        raise LogError(f"Expected a log or a folder of logs, got the missing path {path}. Correct the path.")
     return [(str(path), path)]
 
 
@@ -175,7 +175,7 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
         raise ConfigError(f"Expected a file extension among {', '.join(ENDINGS)}, got {ending!r}.")
     paths = {name: log for name, log in jobs.items() if isinstance(log, Path)}
     if len(paths) < len(jobs):
-        raise ShapeError("Expected log files, got a table without a file name. Write it first.")
+        raise ShapeError("Expected log files, got a table without a file name. Write the table to a file first.")
     common = Path(os.path.commonpath([log.absolute().parent for log in paths.values()]))
     found: dict[str, Path] = {}
     owners: dict[Path, str] = {}
@@ -183,7 +183,7 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
         path = folder / log.absolute().relative_to(common).with_name(f"{log.stem}{mark}{ending}")
         if path in owners:
             both = f"{owners[path]} and {name}"
-            raise ShapeError(f"Expected distinct output files, got {path} for {both}. Rename one.")
+            raise ShapeError(f"Expected distinct output files, got {path} for {both}. Rename one log.")
         found[name], owners[path] = path, name
     read = {log.resolve() for log in paths.values()}
     if over := [path for path in found.values() if path.resolve() in read]:

@@ -1,8 +1,8 @@
 """`map_logs` runs one job per log on any executor, with ordered results, named failures and crash recovery.
 
 A killed worker breaks its process pool and every job in it. Finished results are kept. The interrupted jobs then run
-one by one, a job that crashes its worker again is skipped, and the rest runs in a new pool. Dask restarts its workers
-itself, but blames every job queued on a crashed worker; these jobs also run one by one.
+one by one, and a job that crashes its worker again is skipped. The remaining jobs run in a new pool. Dask restarts its
+workers itself, but blames every job queued on a crashed worker; these jobs also run one by one.
 
 `workers` provides processes on this computer or a Dask cluster.
 """
@@ -28,7 +28,7 @@ _WORKERS = 64  # assumed for executors without a worker count
 _REPORT_PERIOD = 0.5  # s between two progress reports while no job ends
 _SENTENCE_PERIOD = 1.0  # s between two progress lines, for output to a file
 MAX_CRASHES = 2  # worker crashes before a job is skipped
-_KILLED = "Expected a worker to survive this {}, but it crashed again. Check its memory use and its logs."
+_KILLED = "Expected a worker to survive this {}, but it crashed again. Check the worker's memory use and logs."
 _KILLED_BY_DASK = "KilledWorker"  # exception of Dask after several crashes; by name, because Dask is optional
 
 
@@ -39,7 +39,7 @@ class Done(Generic[Result]):
     Attributes
     ----------
     results : results of the successful jobs by name, in job order.
-    skipped : reasons for the other jobs, by name.
+    skipped : reasons for skipping the other jobs, by name.
     """
 
     results: Mapping[str, Result]
@@ -109,7 +109,7 @@ class _JobRun:
         self.report()
 
     def on(self, executor: Executor) -> None:
-        """Run all jobs on an executor, with a new pool after each crash; each round settles at least one suspect."""
+        """Run all jobs on an executor, with a new pool after each crash; each round settles at least one job."""
         suspects: list[str] = []
         if not getattr(executor, "_broken", False):  # broken by earlier jobs of the caller
             ahead = _AHEAD * getattr(executor, "_max_workers", _WORKERS)
@@ -141,7 +141,7 @@ class _JobRun:
         return [name for name in names if name not in self.results and name not in self.skipped]
 
     def _pass(self, executor: Executor, names: Sequence[str], ahead: int) -> list[str]:
-        """Run jobs until they are done or the executor breaks; return the interrupted ones, at least one."""
+        """Run jobs until they are done or the executor breaks; return the interrupted jobs, at least one."""
         waiting = list(reversed(names))
         running: dict[Future[tuple[bool, Any]], str] = {}
         try:
@@ -168,7 +168,7 @@ class _JobRun:
         return []
 
     def _saved(self, running: Mapping[Future[tuple[bool, Any]], str]) -> list[str]:
-        """Store results finished before the executor broke; return the names of the rest."""
+        """Store results finished before the executor broke; return the names of the other jobs."""
         lost = []
         for future, name in running.items():
             if future.done() and not future.cancelled() and future.exception() is None:
@@ -224,7 +224,7 @@ def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None
         if count == 1:
             yield None
             return
-        # Spawned, because a fork copies locks held by threads, such as those of BLAS, but not the threads.
+        # Workers are spawned: a fork copies locks held by threads, such as BLAS threads, but not the threads.
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             yield pool
         return

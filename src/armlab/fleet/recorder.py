@@ -35,9 +35,9 @@ class FleetRecorder:
     """Recorder of every robot that sends rows, as a context manager.
 
     A robot may disappear and return with different rows. Each run of its bridge gets its own MCAP file:
-    ``lab1-yumi_left.mcap``, then ``-2``. Missing rows are gaps in the robot's ticks; they are listed in an event and in
-    the summary of the file. A file that cannot be written is abandoned with a message. Any other error ends only the
-    recording of that robot; the other robots continue.
+    ``lab1-yumi_left.mcap``, then ``lab1-yumi_left-2.mcap``. Missing rows are gaps in the robot's ticks; they are listed
+    in an event and in the summary of the file. A file that cannot be written is abandoned with a message. Any other
+    error ends only the recording of that robot; the other robots continue.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ class FleetRecorder:
 
     Raises
     ------
-    LinkError : no router.
-    MissingExtra : no Zenoh.
+    LinkError : no router at this address.
+    MissingExtra : Zenoh is not installed.
     """
 
     def __init__(self, place: LabAddress, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
@@ -101,7 +101,7 @@ class FleetRecorder:
         self._inbox.put((partial(self._live, has_come=has_come), str(sample.key_expr)))
 
     def _row(self, robot: RobotRecord, data: bytes | None) -> None:
-        """Store a row; without room it is lost, and its tick becomes a gap."""
+        """Store a row; if the buffer is full, the row is lost, and its tick becomes a gap."""
         size = len(data or b"")
         if size <= self._room:
             self._room -= size
@@ -218,7 +218,7 @@ class RobotRecord:
         return sum(map(len, self._waiting))
 
     def take(self, data: bytes | None) -> None:
-        """Store a row; if too many rows are waiting, it is lost, and its tick becomes a gap."""
+        """Store a row; if too many rows are waiting, the new row is lost, and its tick becomes a gap."""
         if data is None:
             self.damaged += 1
             if self.damaged == 1:
@@ -312,7 +312,7 @@ class RobotRecord:
             file.abandon()
 
     def _give_up(self) -> None:
-        """Abandon rows without a description; rows with the known schema count as the same run."""
+        """Abandon rows without a description; rows with the known schema belong to the same run."""
         self.wants, self._since = False, None
         if self._is_unsure:
             self._is_unsure = False
@@ -321,7 +321,7 @@ class RobotRecord:
         self._waiting.clear()
 
     def _sorted(self, run: _BridgeRun, row: bytes, packed: list[bytes]) -> list[bytes]:
-        """Add a row to the rows to write next; at a gap, write the earlier rows and record the gap."""
+        """Queue a row for writing; at a gap, write the earlier rows and record the gap."""
         tick = tick_of(row)
         if run.last is not None and tick <= run.last:
             self.late += 1

@@ -43,7 +43,7 @@ class RingBuffer:
         return np.array([values for _, values in self._rows]).reshape(-1, self._width)
 
     def add(self, t: float, values: np.ndarray) -> None:
-        """Add a sample (width,) at a time t [s] not before the last sample."""
+        """Add a sample (width,) at a time t [s], which must not precede the last sample."""
         self._rows.append((t, values))
         while self._rows[0][0] < t - self._seconds:
             self._rows.popleft()

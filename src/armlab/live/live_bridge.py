@@ -185,7 +185,7 @@ def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict
     for model in models:
         if model.robot_name not in arms:
             raise ModelMismatchError(
-                f"Expected a model of {' or '.join(arms)}, got one of {model.robot_name!r}. Pass the model of this arm."
+                f"Expected a model of {' or '.join(arms)}, got a model of {model.robot_name!r}. Pass one for this arm."
             )
         found[model.robot_name] = _Estimate(model, arms[model.robot_name])
     return found
@@ -326,7 +326,7 @@ class _ArmView:
         """Store the newest row with its time t [s]; `follows`: True if there is no gap after the last row."""
         name = self._robot.name
         q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
-        if running.value(name, "age") > _GAP:  # the arm is silent, but another arm sends: the values are old
+        if running.value(name, "age") > _GAP:  # the arm is silent while another arm sends: its values are outdated
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
         self._picture = (q, wrench, covariance)

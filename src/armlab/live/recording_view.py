@@ -187,7 +187,7 @@ def read_arms(
             robot = _robot(path, name, given, waiting, held, force)
             table = table if columns is None else in_order_of(robot, table, path)
             if not len(table):
-                raise LogError(f"Expected rows of {robot.name} in {path}, got an empty log. Give another log.")
+                raise LogError(f"Expected rows of {robot.name} in {path}, got an empty log. Pass another log.")
             if "q" not in table or table["q"].shape[1] != robot.n:
                 got = table["q"].shape if "q" in table else ", ".join(table.names)
                 raise LogError(f"Expected positions q (N, {robot.n}) of {robot.name} in {path}, got {got}.")
@@ -254,7 +254,7 @@ def _robot(
     try:
         return library.load(name or "")
     except (UnknownName, RobotError):
-        said = f"{name!r}, which is not in the library" if name else "a file without a robot"
+        said = f"{name!r}, which is not in the library" if name else "a file that names no robot"
         raise RobotError(f"Expected the robot of {path}, got {said}. Pass its description with --robot FILE.") from None
 
 
@@ -271,7 +271,7 @@ def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
 
 
 def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], force: bool) -> Table:
-    """Add the estimated wrench if the log has none and there is a model of this robot (with `force`: of its name)."""
+    """Add the estimated wrench if the log has none and there is a model of this robot (with `force`: of this name)."""
     model = next((model for model in models if model.robot_hash == robot.hash), None)
     if model is None and force:
         model = next((model.moved_to(robot) for model in models if model.robot_name == robot.name), None)
@@ -389,7 +389,7 @@ class Player:
             self.t, self._stale = min(max(t, 0.0), self.duration), True
 
     def next_event(self) -> None:
-        """Go to the next event, or after the last event to the first event."""
+        """Go to the next event; after the last event, go to the first."""
         later = [t for t, _ in self._events if t > self.t + 1e-9]
         if self._events:
             self.seek(later[0] if later else self._events[0][0])

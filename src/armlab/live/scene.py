@@ -1,6 +1,6 @@
 """Browser scene: arms, tool paths, forces with uncertainty, and named frames.
 
-Links without meshes are drawn as capsules derived from the kinematics, joints as drums about their axes.
+Links without meshes are drawn as capsules derived from the kinematics, joints as cylinders about their axes.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | No
         collada = any(file.lower().endswith(".dae") for file in missing) and find_spec("collada") is None
         advice += " A .dae needs pycollada: pip install 'armlab[live]'." if collada else ""
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        said = f"Expected the meshes of {robot.name}, got no readable {', '.join(missing[:5])}{more}"
+        said = f"Expected the meshes of {robot.name}, but cannot read {', '.join(missing[:5])}{more}"
         warnings.warn(f"{said}: capsules are drawn instead.{advice}", stacklevel=2)
     return shapes or [None] * (robot.n + 1)
 
@@ -245,9 +245,9 @@ _MOST_POINTS = 300  # maximum number of points drawn per path
 class RobotScene:
     """Arms in a common world, drawn by `show`; other nodes of viser's ``server.scene`` can be used freely.
 
-    Links are capsules in the colour of their arm, joints are drums in the colour of their curves, and the tool point is
-    a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the ellipsoid at its
-    tip is the 2-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
+    Links are capsules in the colour of their arm, joints are cylinders in the colour of their curves, and the tool
+    point is a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the
+    ellipsoid at its tip is the 2-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
 
     `T_world_base`: pose (4, 4) of each arm's base in the world by name; default: the identity. The mount is part of the
     robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of a force arrow per force

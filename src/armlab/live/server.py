@@ -53,7 +53,7 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
         server = viser.ViserServer(host=HOST, port=_PORT if port is None else port, label=label, verbose=False)
     if port and server.get_port() != port:  # viser falls back to the next port
         stop(server)
-        raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another: --port.")
+        raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another with --port.")
     _refuse_other_sites(server)
     server.request_share_url = _refused  # a page can also request the link
     server.gui.configure_theme(show_logo=False, show_share_button=False)

@@ -39,8 +39,8 @@ def robot(
     Parameters
     ----------
     robot : the arm.
-    q : configuration (n,), or configurations (N, n), of which the last is drawn in full, and up to eight others, evenly
-        spaced, as faint lines. Default: home posture.
+    q : configuration (n,), or configurations (N, n). The last one is drawn in full, and up to eight others, evenly
+        spaced, are drawn as faint lines. Default: home posture.
     path : draw the path of the tool through all N configurations.
     frames : draw the base, flange and tool frames.
     ax : three-dimensional Axes to draw into, for example with another arm; default: a new figure.
@@ -232,7 +232,7 @@ _draw = robot  # alias for functions with a parameter named robot
 def manipulability(
     robot: Robot, q: ArrayLike | None = None, part: Literal["position", "rotation"] = "position", *, ax: Any = None
 ) -> Axes3D:
-    """Draw the velocity ellipsoid of the tool: its velocities for all joint velocities of norm 1.
+    """Draw the velocity ellipsoid of the tool: the tool velocities for all joint velocities of norm 1.
 
     The ellipsoid is ``{J qd : |qd| = 1}``; see `kinematics.ellipsoid` and `kinematics.manipulability`. Along a short
     axis, the tool moves slowly and can exert large forces.
@@ -240,7 +240,7 @@ def manipulability(
     Parameters
     ----------
     robot : the arm.
-    q : configuration (n,), or configurations (N, n), of which at most eight, evenly spaced, are drawn. Default: home
+    q : configuration (n,), or configurations (N, n); at most eight of them, evenly spaced, are drawn. Default: home
         posture.
     part : "position" for the velocity of the tool point, or "rotation" for the angular velocity.
     ax : three-dimensional Axes to draw into; default: a new figure.

@@ -27,8 +27,8 @@ def wrench(table: Table, ax: Any = None) -> Figure:
     """Draw the estimated wrench against time, one panel per axis, with 2-sigma bands and shaded contact.
 
     The true wrench (`wrench_true`), the force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are drawn if
-    the table has them. All forces have the same scale, and so do all moments. The scales follow from the estimates;
-    wider bands are clipped.
+    the table contains them. All forces have the same scale, and so do all moments. The scales follow from the
+    estimates; wider bands are clipped.
 
     Parameters
     ----------

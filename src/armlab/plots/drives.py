@@ -39,7 +39,7 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
     Parameters
     ----------
     fit : from `identify.fit_dynamics`.
-    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`, for the points.
+    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`; its rows are the points.
     ax : one Axes per joint; default: a new figure.
 
     Raises
@@ -115,7 +115,7 @@ _BINS = 16  # bins of the sample coverage per axis
 _ROWS = 8_000  # largest number of rows for a spectrum; longer logs are thinned
 _BEYOND = 1.25  # limit of the spectrum, relative to the line at twice the gear ratio
 _FEWEST = 100  # smallest number of rows for an amplitude
-_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution: first of the spectrum, smallest limit
+_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution: lower limit of the spectrum, and its smallest upper limit
 
 
 def friction_map(

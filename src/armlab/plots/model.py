@@ -249,8 +249,8 @@ _WEAK, _REFUSED = 300.0, 1e4  # condition numbers of the estimators
 def excitation(found: Excitation, ax: Any = None) -> Axes:
     """Draw the singular values of the scaled regressor in descending order, relative to the largest singular value.
 
-    A direction below 1/300 is weakly excited and needs a longer or richer log. With a direction below 1/10000, a fit
-    raises NotExcited.
+    A direction below 1/300 is weakly excited and needs a longer or richer log. If a direction is below 1/10000, the
+    fit raises NotExcited.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of movement primitives of all kinds, and of their control with two degrees of freedom."""
+"""Figures of movement primitives of all kinds, and of two-degree-of-freedom control."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
 """Style of demonstrations: wide lines below the motion."""
 _SAMPLES = 501
-_SETTLES = 1.5  # drawn part of motions that continue beyond their duration, in durations
+_SETTLES = 1.5  # drawn time of motions that continue beyond their duration, relative to the duration
 Goals = Sequence[tuple[float, ArrayLike]]
 
 

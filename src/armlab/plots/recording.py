@@ -36,7 +36,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
     Parameters
     ----------
     data : the table.
-    names : columns; default: those of q, qd, tau and wrench_hat that exist.
+    names : columns; default: q, qd, tau and wrench_hat, if they exist.
     split : draw one panel per component (joint) instead of one panel per quantity.
     ax : Axes to draw into, one per panel; default: a new figure.
 
@@ -93,7 +93,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
 
 
 def _legends(axes: list[Axes]) -> None:
-    """Put a legend to the right of each panel, with the lines that are not in a legend above it."""
+    """Put a legend to the right of each panel, without the lines that are already in a legend above it."""
     said: set[str] = set()
     for ax in axes:
         handles, names = ax.get_legend_handles_labels()
@@ -138,7 +138,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
 
     Raises
     ------
-    ShapeError : invalid poses, a number of finite times other than that of the poses, or a wrong number of Axes.
+    ShapeError : invalid poses, times that are not one finite number per pose, or a wrong number of Axes.
     """
     T = pose_stack(T)
     times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)
@@ -182,7 +182,8 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Returns
     -------
-    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title the numbers of missed and late ticks.
+    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title gives the numbers of missed and late
+    ticks.
 
     Raises
     ------

@@ -162,7 +162,7 @@ _NORMAL = 0.3  # length of a normal vector, relative to the size of the scene
 
 
 def feature(ax: Axes3D, item: Line | Plane | Circle | Sphere, size: float, color: str) -> None:
-    """Draw a feature. The size of planes and lines, which are unbounded, is the size of the scene [m]."""
+    """Draw a feature. Planes and lines are unbounded, so they are drawn at the size of the scene [m]."""
     if isinstance(item, Line):
         start = item.centroid - 0.5 * size * item.v
         arrow(ax, start, size * item.v, color=color, gid="line")
@@ -196,9 +196,9 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     Parameters
     ----------
     *items : a mapping {name: T_a_x (4, 4)} of named frames; poses (N, 4, 4), drawn as a path from a dot to a square;
-        points (N, 3), coloured from first to last, with a different marker per set; a `frames.Line`, with its foot if
-        it is near; a `frames.Plane`, drawn as a patch with its normal; a circle or a sphere. All items must be in the
-        same frame a. NaN leaves a gap.
+        points (N, 3), coloured from first to last, with a different marker per set; a `frames.Line`, with its foot
+        point if this point is near; a `frames.Plane`, drawn as a patch with its normal; a circle or a sphere. All items
+        must be in the same frame a. NaN leaves a gap.
     frames : length [m] of the named frames and of the frames along paths (at most 12 per path, evenly spaced). With 0,
         paths have no frames, and named frames have a suitable length.
     ax : three-dimensional Axes to draw into, for example from `robot`; default: a new figure.

@@ -191,7 +191,7 @@ def _legend_columns(figure: Figure, labels: list[str]) -> int:
     """Return the number of legend columns that fit, at most seven; matplotlib would clip the others."""
     from matplotlib.textpath import TextPath
 
-    size = _RC["legend.fontsize"]  # line, padding and column spacing take 4.8 times as much
+    size = _RC["legend.fontsize"]  # the line, padding and column spacing take 4.8 times this size
     widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
     room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
     return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))
@@ -230,7 +230,7 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Show all open figures in windows, and wait until these are closed; raise without a screen."""
+    """Show all open figures in windows, and wait until they are closed; raise without a screen."""
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 
