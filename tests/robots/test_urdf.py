@@ -284,7 +284,9 @@ def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
 
 def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
     odd = urdf.parse(TWO_ARMS.replace('izz="0.01"/></inertial>\n    <visual>', 'izz="0.05"/></inertial>\n    <visual>'))
-    with pytest.warns(UserWarning, match=r"to satisfy the triangle inequality.*'left_1' \(line 16\)\. They are used"):
+    with pytest.warns(
+        UserWarning, match=r"to satisfy the triangle inequality.*'left_1' \(line 16\)\. These inertias are used"
+    ):
         robot = odd.chain("body", "cup")
     assert robot.inertias is not None
     odd.chain("body", "right_1")  # what is not on the arm does not matter

@@ -60,7 +60,7 @@ FAULTS = [  # what is replaced by what; the line that must be named; the sentenc
     ('<link name="foot"/>', '<link name="lower"/>', 26, "link .* unique name .*'lower' again, as in line 3"),
     ('name="slide"', 'name="turn"', 19, "every joint to have a unique name .* 'turn' again, as in line 4"),
     ('<link name="foot"/>', "", 4, "the parent of joint 'turn' among the links .* got 'foot'. Add"),
-    ('child link="upper"', 'child link="uper"', 4, "the child of joint 'turn' among .* Did you mean 'upper'"),
+    ('child link="upper"', 'child link="uper"', 4, "the child of joint 'turn' among .* The closest name is 'upper'"),
     (END, LOOSE.format("foot", "lower") + END, 27, "joint above link 'lower' .* 'j' in addition to 'slide' in line 19"),
     (END, LOOSE.format("lower", "foot") + END, 4, "joints that lead away from one root .*a loop through joint 'turn'"),
     (END, '<link name="a"/>' + LOOSE.format("a", "a") + END, 27, "a loop through joint 'j'"),

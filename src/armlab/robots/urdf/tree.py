@@ -338,7 +338,7 @@ def _check_ends(tree: Tree) -> None:
                 from difflib import get_close_matches
 
                 close = get_close_matches(name, names, n=1)
-                advice = f"Did you mean {close[0]!r}?" if close else "Add the link or correct the name."
+                advice = f"The closest name is {close[0]!r}." if close else "Add the link or correct the name."
                 raise fault(tree, joint, f"the {end} of joint {joint.name!r} among the links", repr(name), advice)
         if joint.child in above:
             other = above[joint.child]
