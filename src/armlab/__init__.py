@@ -1,6 +1,6 @@
 """armlab: a robotics laboratory for robot arms.
 
-A robot description and a log give a model file, the model file runs the robot, and every run gives the next log.
+A robot description and a log yield a model file. Controllers use the model file, and every run records the next log.
 Subpackages and NumPy are imported on first use, because ``armlab --help`` needs none of them.
 """
 

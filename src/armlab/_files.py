@@ -18,7 +18,7 @@ _APART = 512  # below the usual limit of 1024
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a path to write to, which is atomically renamed to `path` on success and deleted on failure.
 
-    Unlike plain write errors, an OSError names `path`.
+    Every OSError names `path`, unlike the error of a plain write.
     """
     part = path.with_name(f"{path.name}.part")
     try:

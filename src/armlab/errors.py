@@ -139,7 +139,7 @@ class FrameError(ArmlabError, ValueError):
 
 
 class ModelMismatchError(ArmlabError, ValueError):
-    """A model file of another robot, sign convention or unit, or a value that is not a model."""
+    """A model file for another robot, sign convention or unit, or a value that is not a model."""
 
     @classmethod
     def no_model(cls, value: object) -> ModelMismatchError:
@@ -161,7 +161,7 @@ class NotExcited(ArmlabError, ValueError):
     directions : tuple of str
         Parameters, joints or directions without excitation.
     spread : tuple of str
-        Excitation of each of them in the data, as text.
+        Excitation of each entry of `directions` in the data, as text.
     """
 
     def __init__(self, message: str, directions: Sequence[str] = (), spread: Sequence[str] = ()) -> None:
@@ -225,7 +225,7 @@ class CommandRefused(LinkError):
 
 
 class ControllerLate(LinkError):
-    """Too many late calls of the user's controller."""
+    """Too many missed deadlines of the user's controller."""
 
 
 class ControllerFailed(LinkError):

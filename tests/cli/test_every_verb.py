@@ -187,7 +187,7 @@ sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --stats /dev/full | Expected to w
 sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --truth /dev/full | Expected to write /dev/full, got: No space left
 excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
 log show folder | Is a directory
-log cut good.mcap --from 9 -o to.mcap | got none. It has 0 s to 0.996 s
+log cut good.mcap --from 9 -o to.mcap | got none. It contains rows from 0 s to 0.996 s
 log cut good.csv --from 9 -o to.csv | The log covers 0 s to 0.996 s
 log merge good.mcap good.mcap -o to.mcap | to begin after
 log open good.csv | got a file of format text

@@ -150,7 +150,11 @@ def test_what_does_not_fit_is_refused_in_a_sentence(
     text.write_text("t [s],q1 [rad]\n0,1\n")
     to = tmp_path / "to.mcap"
     for error, words, work in (
-        (LogError, r"Expected rows between 5 s and 6 s in .*run\.mcap, got none. It has 0 s to 0\.19", (run, 5.0, 6.0)),
+        (
+            LogError,
+            r"between 5 s and 6 s in .*run\.mcap, got none. It contains rows from 0 s to 0\.19",
+            (run, 5.0, 6.0),
+        ),
         (ConfigError, "start < stop, got 2 s to 2 s", (run, 2.0, 2.0)),
         (ConfigError, "got nan s to 2 s", (run, np.nan, 2.0)),
         (LogError, "got a file of format text", (text, 0.0, 1.0)),

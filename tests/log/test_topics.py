@@ -333,7 +333,7 @@ def test_states_without_a_joint_or_without_an_effort(ros: Any) -> None:
     assert notes == []
     values, _, notes = columns_of_fields(topic, fields(ros, topic, *messages))
     np.testing.assert_array_equal(values["q"], [[np.nan, np.nan], [np.nan, np.nan], [3.0, 4.0]])
-    assert notes == [f"{name} of 1 messages are missing: they do not name their joints" for name in ("q", "qd")]
+    assert notes == [f"{name} of 1 messages are missing: the messages do not name the joints" for name in ("q", "qd")]
 
 
 def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Stream]:

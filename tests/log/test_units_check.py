@@ -90,7 +90,7 @@ def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -
     with pytest.raises(ShapeError, match=words):
         prepare(changed(excited, tau=joint_torque_to_motor(robot, excited["tau"])), robot)
     silent = replace(robot, coupling=np.eye(7))
-    with pytest.raises(ShapeError, match="Multiply it by the gear ratio, and add the coupling to the robot"):
+    with pytest.raises(ShapeError, match="Multiply the torque by the gear ratio, and add the coupling to the robot"):
         prepare(changed(excited, tau=excited["tau"] / 100), silent)
     links = np.tile(np.eye(4), (3, 1, 1))
     links[1:, 0, 3] = 0.3  # all axes upright lift nothing: torque may be as small as it likes

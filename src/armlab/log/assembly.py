@@ -13,7 +13,7 @@ from armlab.log.table import Table
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # padded to the largest robot
 
-_MAX_DISAGREEMENT = 1.0  # s per row between robot clock and session time; more means that the robot clock was set
+_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; a larger value means that the clock was set
 
 
 def recording_table(
@@ -93,7 +93,7 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
 def rows_in_order(
     t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return increasing times (N,), the mask (N,) of kept rows, and a note on dropped rows; warn about them."""
+    """Return increasing times (N,), the mask (N,) of kept rows, and a note on dropped rows, if any; also warn."""
     keep, lost = in_time_order(t)
     if not lost:
         return t, keep, ()

@@ -22,7 +22,7 @@ KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
 class Column(Shown):
     """Description of one column.
 
-    For known names, missing attributes are taken from the glossary; new names need a unit.
+    For names in the glossary, missing attributes are taken from there. Other names need a unit.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
 
 
 def alias(name: str) -> str:
-    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` stripped, as in the earlier tools."""
+    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` removed, as in the predecessor."""
     return re.sub(r"[:.\[\]]", "_", name).strip("_")
 
 
@@ -154,11 +154,11 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
 
 
-_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # column bytes always allowed; padded cells per number beyond
+_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # column bytes always allowed; beyond this, most cells per number
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Raise an error if padding ragged values would give large and nearly empty columns; `widths` is by name."""
+    """Raise an error if padding ragged values would give large and nearly empty columns; `widths` has one per name."""
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:
         widest = max(widths, key=lambda path: widths[path])
@@ -182,7 +182,7 @@ UNITS = {
 
 
 def between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Interpolate between rows a and b at s (k,); s = 0 returns a even if b is missing."""
+    """Interpolate between rows a and b at fractions s (k,); s = 0 returns a even if b is missing."""
     weight = s.reshape(-1, *[1] * (a.ndim - 1))
     exact = weight == 0
     if kind == "quaternion":

@@ -60,7 +60,7 @@ def read(
     ``<name>_age``.
 
     An unfinished or damaged file is read as far as possible, with one warning and a note. Rows with non-increasing time
-    are dropped; a note and a warning state the first of them.
+    are dropped; a note and a warning list the first dropped rows.
 
     Parameters
     ----------

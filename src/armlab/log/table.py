@@ -27,13 +27,13 @@ TAU_SOURCES = ("none", "measured", "reference")
 
 # Optional fields of `State` in a table.
 _ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
-_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds the reply to it, whereas a State holds the previous reply
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds its own reply, whereas a State holds the previous reply
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
 
 def _states(table: Table) -> Iterator[State]:
-    """Yield one `State` per row, with NaN for missing values, and session time and first position if recorded."""
+    """Yield one `State` per row, with NaN for missing values; session time and first position are set if recorded."""
     values, q = table.values, table["q"]
     nothing = np.full(q.shape[1:], np.nan)
     nothing.flags.writeable = False
@@ -71,8 +71,8 @@ def _states(table: Table) -> Iterator[State]:
 class Table:
     """Immutable table of named columns with units on one clock.
 
-    ``table["q"]`` is the read-only array (N, n); axis 0 is time. For known names, unit, shape and kind are taken from
-    the glossary; new names need a unit. Missing values are NaN and stay NaN. Operations return new tables.
+    ``table["q"]`` is the read-only array (N, n); axis 0 is time. For names in the glossary, unit, shape and kind are
+    taken from there; other names need a unit. Missing values are NaN and stay NaN. Operations return new tables.
 
     Attributes
     ----------
@@ -113,7 +113,9 @@ class Table:
             raise ShapeError(f"Expected columns of a Table by name, such as {{'q': q}}, got {shortened(self.values)}.")
         unknown = sorted(set(self.columns) - set(self.values))
         if unknown:
-            raise UnknownName(f"Expected descriptions only for columns with values, got some for {', '.join(unknown)}.")
+            raise UnknownName(
+                f"Expected descriptions only for columns with values, got descriptions of {', '.join(unknown)}."
+            )
         kept = {name: stored(name, values, self.columns.get(name)) for name, values in self.values.items()}
         _check_lengths(len(t), {name: entry[0] for name, entry in kept.items()})
         notes = [entry[2] for entry in kept.values() if entry[2]]
@@ -183,7 +185,7 @@ class Table:
         recorded = self.values.get("dt")
         if recorded is None or not len(self):
             return frozen(differences)
-        begins = np.ones(len(self), dtype=bool)  # first rows of sessions, where the two may differ
+        begins = np.ones(len(self), dtype=bool)  # first rows of sessions, where `dt` and the differences may disagree
         begins[1:] = np.diff(self["session"]) != 0 if "session" in self else False
         trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)  # otherwise rows were removed
         return frozen(np.where(trusted & np.isfinite(recorded), recorded, differences))
@@ -283,7 +285,7 @@ class Table:
         return self._derived(f"with_column({name})", values={**self.values, name: values}, columns=columns)
 
     def rename(self, names: Mapping[str, str]) -> Table:
-        """Return the table with renamed columns (old name to new name); their units must match the new names."""
+        """Return the table with columns renamed as in `names` (old to new); the units must match the new names."""
         for old in names:
             self[old]
         new = [names.get(name, name) for name in self.names]
@@ -468,7 +470,7 @@ class Table:
         return f"<div>{escape(head)}{notes}<table><thead><tr>{titles}</tr></thead><tbody>{rows}</tbody></table></div>"
 
     def missing(self) -> dict[str, tuple[int, tuple[int, ...]]]:
-        """Return, for each column with missing values, the number of rows and the first ten of them."""
+        """Return, for each column with missing values, the number of affected rows and the first ten of these rows."""
         holes = {name: np.flatnonzero(missing_rows(array)) for name, array in self.values.items()}
         return {name: (len(rows), tuple(int(row) for row in rows[:10])) for name, rows in holes.items() if len(rows)}
 
@@ -539,7 +541,7 @@ def _bytes(array: np.ndarray) -> bytes | memoryview:
 
 
 _HELD = ("count", "flag", "text")
-_MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # beyond both, the rate or the unit of t is wrong
+_MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # if both are exceeded, the rate or the unit of t is wrong
 _SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the rate
 
 
@@ -604,7 +606,7 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
     if len(outside) or not len(t):
         got = f"{t[outside[0]]:g} s in row {outside[0]}" if len(outside) else "no times"
         raise ShapeError(
-            f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}; there is no extrapolation."
+            f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}. A table is not extrapolated."
         )
     return t
 

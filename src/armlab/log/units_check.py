@@ -48,7 +48,7 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
     ]
     raise ShapeError(
         f"Expected q in rad (m) on the joint side, inside the limits of {robot.name!r}, got {', '.join(words)}. "
-        "Convert it."
+        "Convert q."
     )
 
 
@@ -117,9 +117,9 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     gear = gears(robot)
     listed = ", ".join(robot.joint_names[i] + (f" (gear ratio {gear[i]:g})" if gear[i] > 1 else "") for i in joints)
     advice = (
-        "Convert it with robots.couplings.motor_torque_to_joint."
+        "Convert the torque with robots.couplings.motor_torque_to_joint."
         if np.any(gear[joints] >= GEARED)
-        else "Multiply it by the gear ratio, and add the coupling to the robot description."
+        else "Multiply the torque by the gear ratio, and add the coupling to the robot description."
     )
     raise ShapeError(
         f"Expected torque on the joint side in N m, got likely motor torques for {listed}: {evidence}. {advice}"

@@ -11,7 +11,7 @@ from armlab.signals.streaming import Operator
 __all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_diff"]
 
 UNEVEN = 0.1  # largest relative deviation of a time step in evenly sampled records
-PASSED = 0.8  # cut-off of decimation over the new Nyquist frequency
+PASSED = 0.8  # ratio of the decimation cut-off to the new Nyquist frequency
 ORDER = 3  # polynomial order of smooth_diff
 WINDOW = 1.25  # product of bandwidth and window length
 NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over sampling rate, for windows of 125000 and of five samples
@@ -78,7 +78,7 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
     ----------
     operator : ExpFilter, LowPass2 or Notch.
     x : (N, ...) samples, finite.
-    t : (N,) times [s], strictly increasing; needed for operators without dt and for uneven samples.
+    t : (N,) times [s], strictly increasing; required for operators without dt and for unevenly spaced samples.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
     Parameters
     ----------
     x : (N, ...) samples, finite.
-    t : (N,) even times [s].
+    t : (N,) evenly spaced times [s].
     bandwidth : 3 dB bandwidth of the derivative [Hz].
 
     Returns

@@ -102,8 +102,8 @@ class Operator:
 class Integrator(Operator):
     """Integral of a signal: ``I_k = I_{k-1} + h (x_k + x_{k-1}) / 2``, or ``+ h x_k`` with the Euler rule.
 
-    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). It corresponds to the macro @integrate of
-    TFRT-7651 (Bagge Carlson and Haage 2017, section 4.1).
+    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). The operator corresponds to the macro
+    @integrate of TFRT-7651 (Bagge Carlson and Haage 2017, section 4.1).
 
     Parameters
     ----------
@@ -122,7 +122,8 @@ class Integrator(Operator):
 class Differentiator(Operator):
     """Backward difference ``(x_k - x_{k-1}) / h``; the first step returns 0, or ``(x_0 - init) / dt``.
 
-    It corresponds to the macro @differentiate of TFRT-7651. It amplifies noise by 1/h; `CausalDiff` also filters.
+    The operator corresponds to the macro @differentiate of TFRT-7651. It amplifies noise by 1/h; `CausalDiff` also
+    filters.
 
     Parameters
     ----------
@@ -139,8 +140,8 @@ class Differentiator(Operator):
 class ExpFilter(Operator):
     """First-order low-pass ``y_k = a y_{k-1} + (1 - a) x_k`` with ``a = exp(-h / T)`` for the actual step h.
 
-    It starts at the first sample or, with init, one step dt before it. The macro @expfilt of TFRT-7651 takes a instead
-    of T; `from_alpha` does the same.
+    The filter starts at the first sample or, if `init` is given, one step dt earlier. The macro @expfilt of TFRT-7651
+    takes `a` instead of `T`, as does `from_alpha`.
 
     Parameters
     ----------

@@ -131,7 +131,8 @@ class HandPath:
             )
         if not (np.isfinite(self._t).all() and np.isfinite(self._q).all() and (np.diff(self._t) > 0).all()):
             raise ShapeError(
-                "Expected finite postures at finite, increasing times, got other values. Correct the rows."
+                "Expected finite postures at finite, increasing times, got "
+                "non-finite or non-increasing values. Correct the rows."
             )
         slopes = np.gradient(self._q, self._t, axis=0)
         slopes[[0, -1]] = 0.0

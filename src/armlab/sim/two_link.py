@@ -1,8 +1,9 @@
 """Two-link arm in a vertical plane with closed-form dynamics and kinematics, for testing controllers.
 
 The arm has point masses at the ends of two massless links, and viscous and Coulomb friction in both joints. q_1 is zero
-when hanging down and increases counter-clockwise; q_2 is relative to the first link; x points right, y up. Functions
-broadcast over leading axes. The default arm is that of the predecessor; wrong shapes raise ShapeError.
+when the arm hangs down, and increases counter-clockwise; q_2 is relative to the first link; x points right, y up.
+Functions broadcast over leading axes. The default parameters are those of the predecessor. Wrong shapes raise
+ShapeError.
 
 The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb tanh(100 qd) = tau`` with::
 
@@ -10,7 +11,8 @@ The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb ta
     h = m2 l1 l2 sin q2 (-2 qd1 qd2 - qd2^2, qd1^2)
     G = g ((m1 + m2) l1 sin q1 + m2 l2 sin(q1 + q2), m2 l2 sin(q1 + q2))
 
-The arm is that of TwoLink in DynamicMovementPrimitives.jl, except for M_11, gravity 9.82 m/s^2 and zero torque at rest.
+The model is TwoLink of DynamicMovementPrimitives.jl, apart from M_11, the gravity of 9.82 m/s^2 and the zero torque at
+rest.
 """
 
 from __future__ import annotations
@@ -187,11 +189,11 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
     Parameters
     ----------
     p : (..., 2) points [m].
-    elbow : "down" for q2 >= 0, "up" for q2 <= 0: side of the line from shoulder to tip, seen with the tip at right.
+    elbow : "down" for q2 >= 0, "up" for q2 <= 0: side of the line from shoulder to tip, seen with the tip to the right.
 
     Raises
     ------
-    ShapeError : wrong shape, or a point out of reach; gives its distance.
+    ShapeError : wrong shape, or a point out of reach; the message states its distance.
     UnknownName : `elbow` is neither "down" nor "up".
     """
     if elbow not in ("down", "up"):

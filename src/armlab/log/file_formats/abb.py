@@ -1,13 +1,13 @@
 """Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
 
-`read_abb` uses the signal numbers of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000, speed
-4001, torque 4002 and external torque 4003 are on the arm side of an axis (ABB's manual, as quoted in
-ros-industrial/abb_libegm, issue 86); other signals keep their number. docs/how_to/exchange_logs.md shows an example
-map.
+`read_abb` uses the signal numbers of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Signals 4000
+(position), 4001 (speed), 4002 (torque) and 4003 (external torque) are values on the arm side of an axis (ABB's manual,
+as quoted in ros-industrial/abb_libegm, issue 86). Columns of other signals are named by signal number.
+docs/how_to/exchange_logs.md shows an example map.
 
-Logs of orca and ExtCtrl have one column per motor signal, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in
-ABB's axis order. `read_csv` reads the output of lc2csv, `read_labcomm` the stream itself; old names with ``_`` for
-``. [ ]`` are equivalent.
+Logs of orca and ExtCtrl have one column per motor signal, such as ``irb2ext.robot[0].joint[2].posRawAbs``, the angle of
+a motor. Motors are numbered in ABB's axis order. `read_csv` reads the output of lc2csv, and `read_labcomm` reads the
+LabComm stream. Older names, with ``_`` in place of ``. [ ]``, are also accepted.
 """
 
 from __future__ import annotations
@@ -55,27 +55,28 @@ class _Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: bool = False) -> Table:
     """Read a text file of ABB test signals, in SI units and kinematic joint order.
 
-    Degrees, millimetres and ABB's axis order are converted; axes that were not logged are missing (NaN). If ABB
-    measures an axis relative to the base (IRB 2400), q contains the joint positions.
+    Degrees, millimetres and ABB's axis order are converted; axes that were not logged are missing (NaN). If the
+    controller measures an axis relative to the base (IRB 2400), q still contains joint positions.
 
     Parameters
     ----------
     path : text file, one line per sample.
-    map : TOML file: ``[columns]`` label -> signal, axis, arm; ``time`` the label of the clock and ``time_unit``, or
-        ``rate`` [Hz]; ``separator``, one character (a space matches any number of spaces); ``skip`` lines at the start;
-        ``header = false`` without labels, so that the columns are "1", "2", ...; ``arm`` if all signals belong to one
-        arm.
-    arm : arm to select if the map has several; a library name or a robot file.
+    map : TOML file. ``[columns]`` maps each label to signal, axis and arm. ``time`` is the label of the clock and
+        ``time_unit`` its unit; ``rate`` [Hz] replaces a missing clock. ``separator`` is one character; a space matches
+        any number of spaces. ``skip`` is the number of lines to skip at the start. ``header = false`` declares a file
+        without labels, whose columns are "1", "2", .... ``arm`` is the arm of all signals.
+    arm : arm to select if the map has several arms; a library name or a robot file.
     raw : keep rows with non-increasing time; default: drop them, with a note and a warning.
 
     Returns
     -------
-    Table : available columns of q, qd, tau and tau_ext (N, n); signal_<number>_axis_<axis> (N,) of other signals.
+    Table : available columns of q, qd, tau and tau_ext (N, n); signal_<number>_axis_<axis> (N,) for every other signal.
 
     Raises
     ------
-    LogError : not text, such as the binary files of ABB's programs; a missing label, a non-numeric value, or no clock.
-    ConfigError : an invalid map, a map without an arm, or an axis that the arm does not have.
+    LogError : the file is not text (for example, a binary file of ABB's programs), lacks a label or a clock, or
+        contains a non-numeric value.
+    ConfigError : the map is invalid, names no arm, or contains an axis that the arm does not have.
     UnknownName : `arm` is not in the map.
     """
     path, map = Path(path), Path(map)
@@ -120,10 +121,11 @@ def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, 
     names = sorted(set(arms.values()))
     if not all(names) or not names:
         raise ConfigError(
-            f'Expected an arm for every column of {path}, but some columns have none. Add arm = "yumi_left".'
+            f"Expected an arm for every column of {path}, but some columns have none. "
+            'Add it to the map: arm = "yumi_left".'
         )
     if arm is None and len(names) > 1:
-        raise ConfigError(f"Expected the name of one arm (arm=) for {path}, which has {', '.join(names)}.")
+        raise ConfigError(f"Expected the name of one arm (arm=) for {path}, which has the arms {', '.join(names)}.")
     if arm is not None and arm not in names:
         raise UnknownName.among("arm of the map", arm, names)
     chosen = arm or names[0]
@@ -153,7 +155,9 @@ def _fields(path: Path, about: _Map) -> dict[str, list[str]]:
     labels = labels or [str(number) for number in range(1, len(rows[0]) + 1)]
     for number, row in enumerate(rows, start=1 + about.skip + about.header):
         if len(row) != len(labels):
-            raise LogError(f"Expected {len(labels)} fields in line {number} of {path}, got {len(row)}. Correct it.")
+            raise LogError(
+                f"Expected {len(labels)} fields in line {number} of {path}, got {len(row)}. Correct this line."
+            )
     return dict(zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True))
 
 
@@ -167,7 +171,7 @@ def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) 
 
 
 def _joined(table: Table, robot: Robot, path: Path) -> Table:
-    """Join the axes of each signal, first in the arm's axis order and then as joints."""
+    """Assemble the axes of each signal in the arm's axis order, then convert them to joints."""
     # On the arm side of the gears, only the coupling of a rod that moves two joints remains.
     behind = replace(robot, coupling=robot.coupling / np.diag(robot.coupling))
     values: dict[str, Any] = {}
@@ -192,14 +196,14 @@ MOTOR_SIGNALS = {"q": ("rad", ["posRawAbs"]), "qd": ("rad/s", ["velFlt", "velRaw
 def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     """Return q, qd and tau of one arm: ``q = G q_motor``, ``qd = G qd_motor``, ``tau = G⁻ᵀ tau_motor``.
 
-    The axes are reordered first; then the gear matrix G is applied, which preserves power. The velocity is velFlt,
-    otherwise velRaw.
+    The axes are reordered first; then the gear matrix G is applied, which preserves power. The velocity is velFlt if
+    logged, otherwise velRaw.
 
     Parameters
     ----------
     table : table of `read_csv` or `read_labcomm`.
     robot : robot with axis order and gears.
-    arm : index of the arm in the file, from 0: robot[0], robot[1].
+    arm : index of the arm in the file, counted from 0, as in robot[0] and robot[1].
 
     Returns
     -------
@@ -207,11 +211,12 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
 
     Raises
     ------
-    LogError : no positions of this arm (lists the available arms), a missing joint, or a wrong motor unit.
+    LogError : positions of this arm are missing (the message lists the available arms), a joint is missing, or a motor
+        unit is wrong.
     ShapeError, RobotError : `table` is not a table, `robot` is not a `Robot`.
 
-    Reference: Robotlib.jl, src/read_log.jl and README. Its ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques, which agrees with the
-    above only for gears without coupling.
+    Reference: Robotlib.jl, src/read_log.jl and README. Robotlib's ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques, which agrees
+    with the above only for gears without coupling.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)

@@ -44,7 +44,7 @@ PRESETS = {
         "t=TIMESTAMP [ms],q=R_FB_POS_RJ{1..6} [deg],qd=R_FB_VEL_RJ{1..6} [deg/s],q_ref=S_REF_POS_RJ{1..6} [deg],"
         "q_planned=R_PL_POS_RJ{1..6} [deg]"
     ),
-    "abb7": (  # the same for an arm with seven joints, base to tool
+    "abb7": (  # the same for a seven-joint arm; joints are ordered from base to tool
         "t=TIMESTAMP [ms],q={R_FB_POS_RJ{1,2},R_FB_POS_EJ1,R_FB_POS_RJ{3..6}} [deg],"
         "qd={R_FB_VEL_RJ{1,2},R_FB_VEL_EJ1,R_FB_VEL_RJ{3..6}} [deg/s],"
         "q_ref={S_REF_POS_RJ{1,2},S_REF_POS_EJ1,S_REF_POS_RJ{3..6}} [deg]"
@@ -57,15 +57,15 @@ _TAIL = re.compile(
     r"^(?P<names>.*?)(?:\*(?P<factor>[-+.\deE]+|\{[^{}]*\}))?(?:\s*\[(?P<unit>[^\[\]\d{}][^\[\]{}]*)\])?$"
 )
 _MOST = 1000  # columns per pattern
-_WRIST = 3  # index of the first of the three equal drives of a UR
-_CORRELATED = 0.7  # smallest correlation of current and moment without friction
+_WRIST = 3  # index of the first of the three identical drives of a UR
+_CORRELATED = 0.7  # smallest accepted correlation of current and frictionless moment
 
 
 @dataclass(frozen=True)
 class _Source:
-    text: str  # as given, for messages
+    text: str  # as entered by the user, for messages
     names: tuple[str, ...]  # patterns without lists
-    factors: tuple[float, ...]  # one for all names, or one per name
+    factors: tuple[float, ...]  # one factor for all names, or one per name
     unit: str
 
 
@@ -101,7 +101,7 @@ class ColumnNames:
         return cls(entries, frozenset(optional), tuple(presets))
 
     def of_several_files(self) -> ColumnNames:
-        """Return the names for several files that each have some of the columns."""
+        """Return the names for a set of files, each of which has some of the columns."""
         return replace(self, optional=frozenset(self.entries), presets=())
 
     def found(self, path: Any, arrays: Arrays) -> tuple[dict[str, tuple[np.ndarray, str]], dict[str, tuple[str, ...]]]:
@@ -174,7 +174,7 @@ class ColumnNames:
         self.notes.append(f"tau is actual_current times {values} N m/A, identified from target_moment")
         for k in guessed:
             self.notes.append(
-                f"joint {k + 1} carries too little load: it gets the torque constant of the other wrist joints"
+                f"joint {k + 1} carries too little load, so the torque constant of the other wrist joints is used"
             )
 
 
@@ -204,7 +204,7 @@ def _entries(told: str | Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _sources(name: str, told: Any) -> tuple[_Source, ...]:
-    """Return the alternatives of an entry: a text, or a list of names."""
+    """Return the alternatives of an entry, which is a text or a list of names."""
     texts = _split(told, "|") if isinstance(told, str) else ["{" + ",".join(map(str, told)) + "}"]
     if not name or not all(text.strip() for text in texts):
         raise ConfigError(f"Expected NAME=SOURCE, such as q=joint_{{1..6}}, got {name}={told}.")
@@ -230,7 +230,7 @@ def _source(name: str, text: str) -> _Source:
 
 
 def _split(text: str, mark: str) -> list[str]:
-    """Split a text at marks outside braces."""
+    """Split a text at separators outside braces."""
     parts, depth = [""], 0
     for letter in text:
         depth += (letter == "{") - (letter == "}")
@@ -306,7 +306,7 @@ def _of_one_topic(pattern: str, arrays: Arrays) -> dict[str, str]:
 
 
 def _one(name: str, arrays: Arrays) -> str | None:
-    """Return the matching name in the file: the same, or the only name that ends with it after a ``/`` or ``.``."""
+    """Return the matching name in the file: an equal name, or the only one that ends with it after a ``/`` or ``.``."""
     if name in arrays:
         return name
     ends = [one for one in arrays if one.endswith((f"/{name}", f".{name}"))]

@@ -46,7 +46,7 @@ LONGEST = 1 << 20
 # Bytes of decompressed text that are always allowed, and the expansion ratio allowed beyond. gzip reaches a ratio of
 # 1030, recordings of a resting arm with 300 constant columns reach 154, and recordings of a moving arm reach 25.
 _UNPACKED, _RATIO = 1 << 24, 200
-_LINES = 1 << 18  # lines that are always allowed; beyond, one per byte of the compressed file
+_LINES = 1 << 18  # lines that are always allowed; beyond this, one line per byte of the compressed file
 _PIECE = 1 << 16
 
 
@@ -144,9 +144,9 @@ def read_csv(
 
     A file written by `log.write` is read back exactly if its description file ``run.csv.toml`` is present.
 
-    In other files, empty fields and "nan" are missing (NaN). Rows with non-increasing time are dropped; a note and a
-    warning state their lines. A column that contains any text is a text column. A leading "- " in a label, as in some
-    ROS exports, is removed.
+    In other files, empty fields and "nan" count as missing values (NaN). Rows with non-increasing time are dropped; a
+    note and a warning state their lines. A column that contains any text is a text column. A leading "- " in a label,
+    as in some ROS exports, is removed.
 
     Parameters
     ----------
@@ -156,7 +156,8 @@ def read_csv(
     separator : field separator; default: the first of ``, ; tab space`` in the header.
     every : keep every n-th row (n = `every`); filter first if this would alias noise (signals.decimate).
     raw : keep rows with non-increasing time.
-    columns : mapping for columns with other names, see `read`. A file without a header has columns 1, 2, ...
+    columns : names of the columns in the file, if they differ from the glossary; see `read`. A file without a header
+        has columns 1, 2, ...
 
     Returns
     -------
@@ -164,8 +165,8 @@ def read_csv(
 
     Raises
     ------
-    LogError : missing file, header or clock; not text; lines of unequal length, an unknown unit, duplicate names, a
-        decimal comma. The message states the line or the column.
+    LogError : the file, its header or its clock is missing; the file is not text; or it has lines of unequal length, an
+        unknown unit, duplicate names or a decimal comma. The message states the line or the column.
     """
     return text_table(path, rate, skip, separator, every, raw, columns)
 
@@ -202,7 +203,7 @@ def text_table(
         labels, skip = _numbered(path, labels, where), skip - 1
     names = names_of(path, labels)
     found = _numbers_only(path, skip, separator, len(labels))
-    if not found or not len(found[0]):  # text, or an error whose line is found below
+    if not found or not len(found[0]):  # text columns, or an error; its line is found below
         texts = _texts(path, skip, separator, len(labels))
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
         for (name, _), of_one, array in zip(names, texts, found, strict=True):
@@ -245,7 +246,7 @@ def _numbered(path: Path, first: Sequence[str], where: ColumnNames | None) -> li
     parts = (len(first) - 3) // joints - 1 if joints else 0
     is_echo = 1 <= parts <= 3 and len(first) == 3 + joints * (parts + 1)
     if where is None:
-        way = "Add it, such as t [s],q1 [rad],q2 [rad], or select columns by position: --columns 't=1,q={2..7}'."
+        way = "Add a header, such as t [s],q1 [rad],q2 [rad], or select columns by position: --columns 't=1,q={2..7}'."
         raise LogError(
             f"Expected a header with column names in {path}, got numbers ({', '.join(first[:4])}, ...). "
             f"{'Read a JointState with --columns ros.' if is_echo else way}"
@@ -315,7 +316,7 @@ def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _texts(path: Path, skip: int, separator: str, width: int, least: int = 2) -> list[list[str]]:
-    """Return the texts below the header by column, because rows would take twice the memory."""
+    """Return the texts below the header as columns, because rows would take twice the memory."""
     rows = islice(rows_in(path, separator), skip + 1, None)
     columns: list[list[str]] = [[] for _ in range(width)]
     even = _even(rows, len(columns), skip + 2, separator, path)
@@ -360,7 +361,7 @@ def _as_written(path: Path, beside: Description) -> Table:
             raise LogError(
                 f"Expected the columns that {path.name}.toml describes in {path}, got: {str(error).rstrip('.')}."
             ) from None
-    else:  # integers too large for a float keep the other components integer as well
+    else:  # if one component exceeds the exact integers of a float, all components stay integer
         parts = [_whole(part) if kind in _WHOLE else part for kind, part in zip(kinds, parts, strict=True)]
     return beside.table(path, parts[0], put_together(beside, parts[1:], len(parts[0])))
 
@@ -372,7 +373,7 @@ def _whole(array: np.ndarray) -> np.ndarray:
 
 
 def _words(texts: Sequence[str], where: str) -> np.ndarray:
-    """Return texts (N,) as an array, in which each takes four bytes per character of the longest."""
+    """Return texts (N,) as an array, in which each text takes four bytes per character of the longest text."""
     sizes = [len(text) // 2 + 1 for text in texts]
     refuse_ragged(len(texts), {where: max(sizes, default=0)}, sum(sizes))
     return np.array(texts, dtype=np.str_)
@@ -388,7 +389,7 @@ def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
 
 def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarray:
     """Return the numbers (N,) of a column with NaN for empty fields; a column with any text is returned as text."""
-    filled = [text.strip() or "nan" for text in texts]  # Python strips more kinds of space than NumPy
+    filled = [text.strip() or "nan" for text in texts]  # Python strips more kinds of whitespace than NumPy
     try:
         array = np.array(filled, dtype=float)
     except ValueError:
@@ -396,7 +397,7 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
             if "," in text and DECIMAL_COMMA.match(text.strip()):
                 raise LogError(
                     f"Expected a decimal point in the column {name!r} of {path}, got {text.strip()!r} in line "
-                    f"{row + skip + 2}. Export with points."
+                    f"{row + skip + 2}. Export the file with decimal points."
                 ) from None
         return _words(texts, f"{path.name}: {name}")
     if (np.abs(array) >= _EXACT).any():

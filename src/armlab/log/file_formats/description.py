@@ -151,7 +151,7 @@ def distinct(wanted: Mapping[Key, str], taken: Iterable[str] = ()) -> dict[Key, 
 
 
 def _parts(name: str, column: Column) -> Iterator[tuple[str, str]]:
-    """Yield the label and unit of each component; a compound unit applies to forces, then to moments."""
+    """Yield the label and unit of each component; a compound unit gives the unit of forces, then of moments."""
     units = (column.unit or "1").split(", ")
     for place in np.ndindex(column.shape):
         unit = units[min(sum(index >= 3 for index in place), len(units) - 1)] if len(units) > 1 else units[0]
@@ -238,7 +238,7 @@ def labelled_table(
 
 
 def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.ndarray | bool, list[str]]:
-    """Return the mask of rows with values in mapped columns, because PlotJuggler writes a row per message."""
+    """Return the mask of rows with values in mapped columns; PlotJuggler writes a row per message."""
     mapped = [name for name in names.entries if name != "t" and name in arrays] if names else []
     numbers = [arrays[name][0] for name in mapped if arrays[name][0].dtype.kind == "f"]
     if not numbers or len(numbers) < len(mapped):
@@ -253,7 +253,7 @@ def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.nda
 def _in_si(
     path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], keep_start: bool = False
 ) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Return the columns in SI units and their descriptions, with the unit "" if the file gives none."""
+    """Return the columns in SI units and their descriptions, with the unit "" if the file states no unit."""
     values: dict[str, np.ndarray] = {}
     columns: dict[str, Column] = {}
     units = {unit for symbol in glossary.symbols().values() for unit in symbol.unit.split(", ")}
@@ -285,7 +285,7 @@ def _clock(
     if name is None:
         if rate is None:
             advice = fitting_presets({name: (array, "") for name, array in values.items()}) or (
-                "Pass rate= for evenly sampled data, or name the column, columns='t=NAME [ms]' (--columns t=NAME)."
+                "Pass rate= for evenly sampled data, or name the time column, columns='t=NAME [ms]' (--columns t=NAME)."
             )
             raise LogError(f"Expected a column t [s] in {path}, got {listed(values)}. {advice}")
         return np.arange(len(next(iter(values.values()), ()))) / rate
@@ -325,7 +325,7 @@ def _together(
 
 
 def _place(label: str) -> tuple[str, tuple[int, ...]]:
-    """Return name and index of one component of a glossary array; an empty index for other labels."""
+    """Return the name and index of one component of a glossary array; the index is empty for other labels."""
     found = NUMBERED.match(label)
     known = glossary.columns().get(found["name"]) if found else None
     if found is None or known is None:
@@ -337,7 +337,7 @@ def _place(label: str) -> tuple[str, tuple[int, ...]]:
 def _whole(group: dict[tuple[int, ...], str]) -> bool:
     """Return whether the array is complete, with indices from 1."""
     most = np.max(list(group), axis=0)
-    if math.prod(most.tolist()) != len(group):  # before listing all indices of a large one
+    if math.prod(most.tolist()) != len(group):  # before listing all indices of a large array
         return False
     return set(group) == {tuple(k + 1 for k in at) for at in np.ndindex(*most)}
 
@@ -371,7 +371,7 @@ def foreign_table(
         have = ", ".join(f"{name} {array.shape}" for name, (array, _) in arrays.items()) or "none"
         raise LogError(
             f"Expected times t, time or timestamp in {path}, got {have}. Read the arrays by log.read_mat or h5py and "
-            f"build a table, log.Table(t, {{'q': q}}); or name the times, columns='t=NAME' (--columns t=NAME)."
+            f"build a table, log.Table(t, {{'q': q}}); or name the array of times, columns='t=NAME' (--columns t=NAME)."
         )
     rows = named[clock][0].size
     kept, other = {}, list(left_out)
@@ -386,7 +386,7 @@ def foreign_table(
 
 
 def renamed(path: Path, table: Table, names: ColumnNames | None) -> Table:
-    """Return a table with columns renamed, and scaled by their factors, as in `names`."""
+    """Return the table with columns renamed and scaled by their factors, as specified by `names`."""
     if names is None:
         return table
     found, joints = names.found(path, {name: (table[name], table.units[name]) for name in table.names})

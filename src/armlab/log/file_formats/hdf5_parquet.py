@@ -124,7 +124,7 @@ def _described(whole: Any) -> tuple[Description, dict[str, str]]:
 
 
 def _datasets(h5py: Any, whole: Any) -> tuple[Mapping[str, tuple[np.ndarray, str]], list[str]]:
-    """Return foreign numbers and texts with their units, and the names of all other datasets."""
+    """Return the numbers and texts of another program with their units, and the names of all other datasets."""
     found: dict[str, tuple[np.ndarray, str]] = {}
     left_out: list[str] = []
 
@@ -196,7 +196,7 @@ def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
 def read_parquet(
     path: Path, columns: Sequence[str] | None = None, *, raw: bool = False, names: ColumnNames | None = None
 ) -> Table:
-    """Return the table in a Parquet file: from `write_parquet`, or foreign columns."""
+    """Return the table in a Parquet file, written by `write_parquet` or by another program."""
     what = f"to read the Parquet file {path}"
     pa, parquet = needed("pyarrow", what), needed("pyarrow.parquet", what)
     with undamaged(f"Parquet file at {path}"), parquet.ParquetFile(path) as file:
@@ -222,7 +222,7 @@ def _as_written(path: Path, file: Any, about: Description, columns: Sequence[str
 
 
 def _foreign(pa: Any, path: Path, file: Any, raw: bool, names: ColumnNames | None) -> Table:
-    """Return foreign columns; columns that are neither numeric nor text are skipped and listed."""
+    """Return the columns of another program; columns that are neither numeric nor text are skipped and listed."""
     table, left_out, arrays = file.read(), [], {}
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_string, pa.types.is_large_string
     for field, (name, unit) in zip(table.schema, names_of(path, table.schema.names), strict=True):

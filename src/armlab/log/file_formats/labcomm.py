@@ -1,7 +1,8 @@
 """`read_labcomm`: read a LabComm stream from a file as a `Table`, in any dialect.
 
 Each leaf of a sample becomes a column: ``robot_row.pos`` (N, 7), ``irb2ext.robot[0].joint[2].posRawAbs`` (N,). Numeric
-arrays remain arrays; structs in arrays are numbered from 0. One sample defines the rows; values of the others are held.
+arrays remain arrays; structs in arrays are numbered from 0. One sample defines the rows; the values of other samples
+are held until their next value.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _WRAP = 1 << 32  # ms, period of tm, which is a signed 32-bit integer
 _BRIDGE = ("robot_row", "command_row")
 _UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of the bridge's samples
 _KINDS = {"b": "flag", "i": "count", "f": "real", "U": "text"}
-_TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "string": np.str_}  # others are integers
+_TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "string": np.str_}  # other types are integers
 
 
 @dataclass(slots=True)
@@ -83,15 +84,15 @@ class _Leaf:
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
     """Read the table in a file with a LabComm stream, as written by the predecessors' loggers.
 
-    The table has one row per value of the defining sample; other values are held, and missing before the first. A
-    variable-size array has as many columns as its largest value and is padded with NaN. A stream that ends within a
-    packet is read up to that point, with one warning and a note.
+    The table has one row per value of the defining sample; values of other samples are held until the next value, and
+    are missing before the first. A variable-size array has as many columns as its largest value and is padded with NaN.
+    A stream that ends within a packet is read up to that point, with one warning and a note.
 
     Parameters
     ----------
     path : file with definitions and values, in any self-describing dialect.
     sample : name of the sample that defines the rows; default: the one with the most values.
-    rate : sample rate [Hz] of its values. Default: from a field t_us [us], tm [ms], t or time [s] of the sample.
+    rate : sample rate [Hz] of this sample. Default: from a field t_us [us], tm [ms], t or time [s] of the sample.
     raw : keep rows with non-increasing time.
 
     Returns
@@ -101,9 +102,10 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
 
     Raises
     ------
-    LogError : missing file, not a LabComm stream, a malformed stream (states the byte), no values, no clock, a sample
-        declared twice (as numbers and texts, or with arrays of different dimensions), or almost empty columns.
-    UnknownName : `sample` has no values; lists the samples with values.
+    LogError : the file is missing, is not a LabComm stream, or is malformed (the message states the byte). Also if the
+        stream has no values, no clock or almost empty columns, or declares a sample twice (as numbers and texts, or
+        with arrays of different dimensions).
+    UnknownName : `sample` has no values; the message lists the samples with values.
     ShapeError : `rate` is not one number.
     """
     path = Path(path)

@@ -126,12 +126,12 @@ def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], orde
         if text is None:
             return None
         words.append(text)
-    _check_shape((len(words), max(map(len, words), default=0)))  # each is as wide as the longest
+    _check_shape((len(words), max(map(len, words), default=0)))  # each text is padded to the length of the longest
     return np.array(words, dtype=np.str_).reshape(shape, order="F")
 
 
 def _text(kind: int, data: memoryview, shape: tuple[int, ...], order: str) -> str | None:
-    """Return a one-row text, or None for several rows."""
+    """Return the text if it has one row, or None if it has several rows."""
     _check_shape(shape)
     if 0 in shape:
         return ""
@@ -166,7 +166,7 @@ def _numbers(kind: int, data: memoryview, order: str) -> np.ndarray:
 def _next(parts: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
     found = next(parts, None)
     if found is None:
-        raise LogError("Expected the rest of a variable, but the data ended.")
+        raise LogError("Expected a complete variable, but the data ended within the variable.")
     return found
 
 
@@ -206,7 +206,7 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
     except OSError as error:
         raise LogError(f"Expected a MAT file at {path}, got: {error.strerror}.") from None
     if format_of(head) in ("HDF5", "MAT v7.3"):
-        h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
+        h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save it again with save(..., '-v7')")
         with undamaged(f"MAT file at {path}"), h5py.File(path, "r") as file:
             check_unpacked_size(path, stored_size(h5py, file))
             found = {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}

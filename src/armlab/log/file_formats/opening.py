@@ -109,7 +109,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def undamaged(what: str, raised: Any = Exception) -> Iterator[None]:
-    """Turn errors raised for corrupt files, which depend on the reader, into a LogError of one sentence."""
+    """Turn the errors that readers raise for corrupt files, which differ between readers, into a one-line LogError."""
     try:
         yield
     except ArmlabError:
@@ -127,10 +127,10 @@ def opened(path: Path) -> Iterator[memoryview]:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except (OSError, ValueError) as error:
         raise LogError(f"Expected a log at {path}, got: {error}.") from None
-    yield memoryview(mapped)  # released with the last array that uses it
+    yield memoryview(mapped)  # the mapping is released with the last array that uses it
 
 
-_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; expansion ratio of constant columns, allowed beyond
+_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; beyond, the expansion ratio of constant columns
 
 
 def check_unpacked_size(path: Path, size: int) -> None:

@@ -160,7 +160,7 @@ def _encoded(topic: BagTopic, array: np.ndarray) -> np.ndarray:
 
 
 def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int], joint_names: Sequence[str]) -> bytes:
-    """Return a zero message of the topic."""
+    """Return a message of the topic in which all numbers are zero."""
     name = next(iter(topic.fields))
     if topic.type.endswith("MultiArray"):
         message = _multi_array(topic.type, table[name].shape[1:])
@@ -193,7 +193,7 @@ def _types(name: str) -> cdr.Definitions:
 
 
 STORAGES = ("mcap", "sqlite3")
-VERSION = 8  # of metadata.yaml: the last version with quality of service as text, as required before Jazzy
+VERSION = 8  # version of metadata.yaml: the last one with quality of service as text, which releases before Jazzy need
 BLOCK = 10_000  # rows per block
 LAST = 2**31 * 10**9  # ns: header stamps hold seconds in 31 bits
 
@@ -262,7 +262,7 @@ def read_rosbag2(path: Path) -> Table:
         if text is None:
             topics = ", ".join(f"{one.topic} ({one.msgtype})" for one in bag.connections) or "none"
             raise LogError(
-                f"Expected a rosbag2 written by armlab in {path}, got a bag of another program; topics: {topics}."
+                f"Expected a rosbag2 written by armlab in {path}, got a bag from another program; topics: {topics}."
             )
         return _table(path, bag, text)
 

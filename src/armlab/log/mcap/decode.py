@@ -52,7 +52,7 @@ class Variant:
 
 @dataclass(slots=True)
 class MessageReader:
-    """Requested fields of one channel (None: all), function that names its numbers, and cached layouts."""
+    """Requested fields of one channel (None: all), the function that names its numbers, and the cached layouts."""
 
     type: str
     types: cdr.Definitions
@@ -73,7 +73,7 @@ class Read:
 
 @dataclass(slots=True)
 class _Bad:
-    """Rows of invalid messages, and why the first of them is invalid."""
+    """Rows of invalid messages, and the reason why the first of these messages is invalid."""
 
     rows: list[int] = field(default_factory=list)
     first: int = 0

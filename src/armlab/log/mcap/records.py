@@ -111,7 +111,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
             declared = zstandard.frame_content_size(packed)
             if declared not in (-1, chunk.size):  # checked before allocating that size
                 raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
-            if not hasattr(_of_thread, "decompressor"):  # cached, because its tables are as large as a chunk
+            if not hasattr(_of_thread, "decompressor"):  # cached: its tables are as large as a chunk
                 _of_thread.decompressor = zstandard.ZstdDecompressor()
             return _of_thread.decompressor.decompress(packed, max_output_size=chunk.size)
         if chunk.compression == "lz4":
@@ -124,7 +124,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
         raise LogError(
             "Expected the package lz4 for this file, but it is not installed. Install it: pip install lz4."
         ) from None
-    except Exception as error:  # the codecs' own errors share no base class
+    except Exception as error:  # the errors of the codecs have no common base class
         raise LogError(f"Expected {chunk.compression} data in the chunk at byte {chunk.start}, got: {error}.") from None
     raise LogError(f"Expected compression zstd, lz4 or none, got {chunk.compression!r} at byte {chunk.start}.")
 
@@ -236,7 +236,7 @@ def _by_summary(view: memoryview) -> Contents | None:
         elif kind == STATISTICS:
             (chunk_count,) = struct.unpack_from("<I", view, body + 22)
     header = next(records(view, len(MAGIC), len(view)), None)
-    if header is not None:  # otherwise its length is corrupt, but the summary is intact
+    if header is not None:  # otherwise the length of the header is corrupt, but the summary is intact
         _take(found, view, HEADER, *header[1:])
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
     found.indexed = all(chunk.indexes for chunk in found.chunks)
@@ -269,7 +269,7 @@ def _by_walking(view: memoryview) -> Contents:
 
 
 def _check_sizes(found: Contents, view: memoryview) -> None:
-    """Raise an error if the chunks unpack to far more than the file size in total; ignore single chunks that do."""
+    """Raise an error if all chunks together unpack to far more than the file size; ignore single chunks that do."""
     most = most_unpacked(len(view))
     whole = sum(chunk.size for chunk in found.chunks if chunk.size <= most)
     if whole > most:
@@ -320,7 +320,7 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
 
 
 def _find_channels(found: Contents, view: memoryview) -> None:
-    """Read the schemas and channels from the chunks, their only location in a file without a summary."""
+    """Read the schemas and channels from the chunks, because the file has no summary that contains them."""
     used = {channel for chunk in found.chunks for channel in chunk.indexes}
     for number, chunk in enumerate(found.chunks):
         if number and used and used <= found.channels.keys():

@@ -20,7 +20,7 @@ from armlab.log.mcap.writer import McapWriter
 def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
     """Open a file under a temporary name; rename it after success, remove it otherwise."""
     try:
-        file = part.open("xb", buffering=0)  # never replaces a file, which may be the input
+        file = part.open("xb", buffering=0)  # "x" never replaces an existing file, which may be the input
     except OSError as error:
         raise LogError(f"Expected to create {part}, got: {error.strerror}.") from None
     try:
@@ -36,9 +36,9 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 
 def _rename(part: Path, target: Path) -> None:
-    """Rename the finished copy to its final name, unless another file has this name by now."""
+    """Rename the finished copy to its final name, unless another file now has this name."""
     try:
-        os.link(part, target)  # never replaces a file, as a rename would
+        os.link(part, target)  # unlike a rename, a link never replaces an existing file
     except FileExistsError:
         raise
     except OSError:  # a file system without hard links
@@ -52,7 +52,7 @@ def copied_channel(writer: McapWriter, channel: Channel) -> int:
     return writer.channel(channel.topic, channel.encoding, schema, channel.metadata)
 
 
-_EVENTS = "rcl_interfaces/msg/Log"  # stamped by the wall clock even if the rows are not, as in lockstep
+_EVENTS = "rcl_interfaces/msg/Log"  # events have wall-clock stamps even if the rows do not, as in lockstep
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Recovery:
     """Result of `recover`.
 
     `path`: the recovered file; `messages`: number of messages; `torn`: number of bytes lost at the end of the original;
-    `lost_chunks`: number of corrupt chunks; `seconds`: time from the first to the last message, except events.
+    `lost_chunks`: number of corrupt chunks; `seconds`: time from the first to the last message, excluding events.
     """
 
     path: Path
@@ -76,7 +76,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     Parameters
     ----------
     path : the file; not modified.
-    to : output file; default: ``<name>.recovered.mcap`` beside the input. It must not exist.
+    to : output file; default: ``<name>.recovered.mcap`` next to the input. The output file must not exist.
     progress : called with (bytes done, total bytes, what).
 
     Raises

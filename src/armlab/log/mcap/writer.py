@@ -58,7 +58,7 @@ class _OpenChunk:
 
 
 class _Index:
-    """Records for the end of the file, buffered in an unnamed temporary file, because a day of recording takes 20 MB.
+    """Records for the end of the file, buffered in an unnamed temporary file because they take 20 MB per day.
 
     If other code closes its descriptor, the data are lost and `taken` raises an error.
     """
@@ -86,7 +86,7 @@ class _Index:
         """Yield all data once."""
         if self._file is not None:
             if not self._file.is_open:
-                raise OSError(errno.EBADF, "the descriptor of its index was closed; armlab log recover rebuilds it")
+                raise OSError(errno.EBADF, "its index descriptor was closed; armlab log recover rebuilds the index")
             os.lseek(self._file.number, 0, os.SEEK_SET)
             while part := os.read(self._file.number, _KEPT):
                 yield part
@@ -115,7 +115,7 @@ class McapWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the current chunk, which is the offset of its next record."""
+        """Number of bytes in the current chunk, which is also the offset of the next record."""
         return 0 if self._chunk is None else self._chunk.size
 
     def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
@@ -230,7 +230,7 @@ class McapWriter:
         self._put(packed)
 
     def _write_header(self, start: int, header: bytes) -> None:
-        """Overwrite the open header of a chunk completely or not at all, because a mixture would hide its messages."""
+        """Overwrite the open header of a chunk completely or not at all: a mixed header would hide the messages."""
         try:
             self._file.seek(start)
             _write_all(self._file.write, header)

@@ -24,7 +24,7 @@ from armlab.log.table import Table
 CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
 """Columns that define the clock of a recording."""
 
-_QUATERNION_LENGTH = 1e-3  # accepted error of the norm
+_QUATERNION_LENGTH = 1e-3  # accepted error of the norm of a quaternion
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
     """Convert positions and quaternions xyzw (k, 7) to matrices (k, 16), NaN if invalid; count the invalid rows."""
     if array.shape[1] != 7:
         raise LogError(f"Expected 7 numbers per pose in {name}, got {array.shape[1]}.")
-    no_pose = np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) > _QUATERNION_LENGTH  # false where missing
+    no_pose = np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) > _QUATERNION_LENGTH  # False where values are missing
     array = np.where(no_pose[:, None], np.nan, array)
     matrices = se3.from_rp(quaternion.to_matrix(array[:, [6, 3, 4, 5]]), array[:, :3])
     return matrices.reshape(len(array), 16), int(no_pose.sum())
@@ -144,7 +144,7 @@ def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.nd
 
 
 def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock: str) -> tuple[int, str]:
-    """Return the wall clock at t = 0 [ns] and the clock name stored with a column `t`; default: those given."""
+    """Return the wall clock at t = 0 [ns] and the clock name stored with a column `t`; default: the given values."""
     about = found.channels[sources["t"].channel].metadata if "t" in sources else {}
     return int(about.get(T0_KEY, t0_ns)), about.get(CLOCK_NAME_KEY, clock)
 

@@ -64,7 +64,7 @@ def redacted(name: str, data: bytes) -> bytes:
 
 
 def _without(value: Any, known: dict[int, Any]) -> Any:
-    """Return nested tables, lists and strings without secrets; convert shared parts once."""
+    """Return nested tables, lists and strings without secrets; convert shared objects only once."""
     if id(value) in known:
         return known[id(value)]
     if isinstance(value, dict):
@@ -278,7 +278,7 @@ def check_recorded(held: Inspection, robot: Robot) -> None:
     names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topics: invalid characters are replaced
     pairs = about.get(topic_name(robot.name), about[names[0]] if len(names) == 1 else {})
     name, digest = pairs.get("robot", robot.name), pairs.get("robot_hash", "")
-    advice = "Pass the robot that was recorded, or continue with this one with force=True (--force)."
+    advice = "Pass the robot that was recorded, or pass force=True (--force) to use this robot."
     if digest:
         recorded = described(held.attachments, name, str(held.path))
         check_same(robot, f"the recording {held.path}", name, digest, recorded, advice)
@@ -297,7 +297,7 @@ def _made(
     for number, channel in found.channels.items():
         if channel.type != type_ or channel.encoding != "cdr":
             continue
-        with suppress(LogError):  # a foreign type without a valid schema
+        with suppress(LogError):  # a type of another program without a valid schema
             types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
             for _, stamp_ns, raw in messages(view, found, number):
                 with suppress(*DAMAGE):

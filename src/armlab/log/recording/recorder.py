@@ -1,7 +1,7 @@
 """`Log` and `Tail` hold rows in memory; `Recorder` writes rows to an MCAP file without blocking the loop.
 
-The loop never wakes the writing thread, which would cost a system call per cycle and competition for the interpreter.
-Instead, the thread polls the queue.
+The loop never wakes the writing thread, because waking it would cost a system call per cycle and cause competition for
+the interpreter. Instead, the thread polls the queue.
 """
 
 from __future__ import annotations
@@ -82,20 +82,20 @@ class Log:
         self._rows.append(self._layout.pack(state, command, tick))
 
     def table(self) -> Table:
-        """Return the rows so far as an independent table."""
+        """Return the rows appended so far as an independent table."""
         values = self._layout.unpack(self._rows.copy())
         columns = {name: slot.column for name, slot in self._layout.slots.items()}
         return recording_table(values, columns, values.pop("stamp_ns"))
 
     def save(self, path: str | Path, *, note: str = "") -> Path:
-        """Write the rows so far to a finished recording and return its path.
+        """Write the rows appended so far to a finished recording, and return its path.
 
         ``log.read(log.save(path))`` equals `table()`, except that poses are stored as quaternions.
 
         Parameters
         ----------
-        path : with the extension .mcap; ``-2``, ``-3`` is appended if it exists.
-        note : stored in the metadata.
+        path : output file, with the extension .mcap; ``-2``, ``-3``, ... is appended to the name if the file exists.
+        note : free text, stored in the metadata.
 
         Raises
         ------
@@ -190,17 +190,18 @@ class Recorder:
 
     Parameters
     ----------
-    path : output file, with the extension .mcap; ``-2``, ``-3`` is appended if it exists. The attribute `path` holds
-        the actual name.
+    path : output file, with the extension .mcap; ``-2``, ``-3``, ... is appended to the name if the file exists. The
+        attribute `path` holds the actual name.
     robot : the arm; its name is the first part of every topic.
     extra : additional columns of the controller (``Command.record``); `wrench_hat` and `wrench_hat_cov` are built in.
     attachments : name -> bytes stored in the file, for example the robot's description and the model.
     note : free text, stored in the metadata.
-    wait : block `row()` while the queue is full instead of dropping: for links in lockstep, without real time.
+    wait : block `row()` while the queue is full instead of dropping rows. Used by links in lockstep, which do not run
+        in real time.
 
     Attributes
     ----------
-    rows, dropped : number of rows accepted, and number of rows lost.
+    rows, dropped : number of accepted rows, and number of dropped rows.
     failed : why the recorder stopped, or None.
 
     Raises
@@ -312,7 +313,7 @@ class Recorder:
         self._wake.set()
         self._thread.join()
         self._guarded(self._syncing.close)
-        self.dropped += self.rows - self._file.rows  # rows queued at the disk failure
+        self.dropped += self.rows - self._file.rows  # rows in the queue when the disk failed
         self.rows = self._file.rows
         counts = {"rows": self.rows, "dropped": self.dropped, "holes": self._holes}
         if self.failed is None:
@@ -381,7 +382,7 @@ class Recorder:
             self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event unless it is a repetition; the limit keeps varying texts from filling the disk."""
+        """Write an event unless it is a repetition; a limit keeps varying texts from filling the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

@@ -70,7 +70,7 @@ class Tick(NamedTuple):
     drops : number of datagrams dropped so far.
     q_sent, qd_sent, tau_sent : (n,) references sent after the limits, or None.
     clamped : (n,) bits of the active limits, or None.
-    record : values that the bridge adds to declared columns, besides those of the Command.
+    record : values that the bridge adds to declared columns, in addition to the values from the Command.
     q_ext_sent, rapid_data_sent, rapid_digital_sent : values sent to external axes and to RAPID, or None.
     wake_ns : latency from the arrival of the packet, stamped by the kernel if possible, to the running loop [ns]; -1 if
         unknown.

@@ -76,7 +76,7 @@ class SplicedRows:
         wanted = kept[(t >= start) & (t < stop)]
         if len(wanted) == 0:
             self._first, self._last = 0, 0
-        else:  # messages before the first row of the table or after the last row belong to that row
+        else:  # messages before the first row of the table belong to the first row, later ones to the last row
             self._first = int(wanted[0]) if wanted[0] > kept[0] else 0
             self._last = int(wanted[-1]) + 1 if wanted[-1] < kept[-1] else len(self.rows.t)
         self.inside = self._first == 0 and self._last > 0
@@ -204,7 +204,7 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
 
 
 def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
-    """Return the name, with a number if other content has it; None if the content is already present."""
+    """Return the name, numbered if other content has the same name; None if the content is already present."""
     stem, dot, ending = name.partition(".")
     number, own = 1, name
     while own in known:
@@ -284,8 +284,8 @@ def cut(
             arm.cut(start, stop)
         if not any(arm.rows_left for arm in source.arms):
             t = np.concatenate([arm.rows.t[arm.rows.kept] for arm in source.arms])
-            has = f"{t.min():g} s to {t.max():g} s" if len(t) else "no rows at all"
-            raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {path}, got none. It has {has}.")
+            has = f"rows from {t.min():g} s to {t.max():g} s" if len(t) else "no rows at all"
+            raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {path}, got none. It contains {has}.")
         _write(to, [source], f"between({start:g}, {stop:g})", progress)
     return to
 

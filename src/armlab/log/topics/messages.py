@@ -1,4 +1,4 @@
-"""Messages of foreign logs by topic: ROS 2 (MCAP and SQLite), ROS 1, JSON and protobuf."""
+"""Messages in logs of other programs, by topic: ROS 2 (MCAP and SQLite), ROS 1, JSON and protobuf."""
 
 from __future__ import annotations
 

@@ -35,8 +35,8 @@ from armlab.log.topics.streams import JOINTS, Stream, rate_text, stem, streams_o
 from armlab.robots import Robot
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-_SAME_RATE = 0.01  # relative
-_ANOTHER_CLOCK = 1.0  # s, difference in recording delay that indicates a header of another clock
+_SAME_RATE = 0.01  # largest relative difference of rates that count as equal
+_ANOTHER_CLOCK = 1.0  # s, difference in recording delay that indicates header stamps from another clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +131,8 @@ def _arm(
 def joints_among(robot: Robot, names: Sequence[str]) -> list[str]:
     """Return the names that are joints of the robot, in its order; empty if one is missing.
 
-    Both the ROS names and the names of the robot description count. A common prefix, as used by drivers for two arms,
-    is ignored.
+    Both the ROS names and the names in the robot description are accepted. A common prefix, as used by drivers for two
+    arms, is ignored.
     """
     for wanted in (robot.ros_joint_names, robot.joint_names):
         prefixes = ["", *dict.fromkeys(name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0]))]
@@ -247,7 +247,7 @@ def _joined(table: Table, other: Stream, stamps: np.ndarray, rows: np.ndarray) -
     if other.topic.endswith("/tf_static"):  # valid at all times
         stamps = np.minimum(stamps, table.t0_ns)
     order = np.argsort(stamps, kind="stable")
-    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # keeps the last of equal stamps
+    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # of messages with equal stamps, the last is kept
     values: Mapping[str, np.ndarray] = {name: array[order] for name, array in other.values.items()}
     t = (stamps[order] - table.t0_ns) / 1e9
     return table.join(Table(t, values, columns, t0_ns=table.t0_ns))
@@ -276,7 +276,7 @@ class _Held:
 
 
 def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
-    """Return the table of a foreign log: an MCAP file, a rosbag2 or a ROS 1 bag."""
+    """Return the table of a log of another program: an MCAP file, a rosbag2 or a ROS 1 bag."""
     held = _held(path, choice, robot, progress)
     streams, notes = _streams(held.topics)
     reason = held.topics.left_out.get(choice.clock or "")
@@ -290,7 +290,7 @@ def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress
 
 
 def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> Table:
-    """Return q (and qd and tau if available) of an arm in a foreign log, in the joint order of the arm."""
+    """Return q (and qd and tau if available) of an arm in a log of another program, in the joint order of the arm."""
     for columns in (["q", "qd", "tau"], ["q", "tau"], ["q", "qd"]):
         with suppress(UnknownName):
             return read_foreign(path, Choice(columns), robot, progress)
@@ -300,7 +300,7 @@ def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> T
 def read_topics(
     path: str | Path, *, robot: Robot | str | None = None, progress: Progress | None = None
 ) -> dict[str, Table]:
-    """Return the topics of a foreign log one by one, each on its own clock, with t = 0 at its first message.
+    """Return the topics of a log of another program one by one, each on its own clock from t = 0 at the first message.
 
     Columns are named as in `read`, except that the columns of every JointState are q, qd and tau. Transforms or joints
     that share a topic but are not published together become separate tables. The notes of each table list damage in the

@@ -59,7 +59,7 @@ class TopicFields:
             self.parts[""] = self.type
         self._find(self.type, "")
 
-    def _find(self, name: str, path: str) -> None:  # recursion is bounded by cdr
+    def _find(self, name: str, path: str) -> None:  # the CDR decoder bounds the recursion
         for field_name, description in self.types.get(name, ()):
             inner, *_ = cdr.held(description)
             there = f"{path}.{field_name}" if path else field_name
@@ -179,7 +179,7 @@ def _joint_columns(
             found[name] = (array, Column(unit=unit, frame="joint", labels=tuple(names)))
             lost = np.isfinite(inner[part]).any(axis=1).sum() if part in inner else 0
             if lost:
-                notes.append(f"{name} of {lost} messages are missing: they do not name their joints")
+                notes.append(f"{name} of {lost} messages are missing: the messages do not name the joints")
         elif part in inner:  # no joint names
             found[name] = (inner[part], Column(unit=unit, frame="joint"))
     return found

@@ -20,12 +20,12 @@ with the nominal inertia J at the home posture. The research extension scales bo
     e   = gain_qd (v_ref - v) + gain_q POSITION_GAIN (q_ref - q),   I += gain_q h e / INTEGRAL_TIME
     tau = J (gain_qd a_ref + VELOCITY_GAIN (e + gain_q I)) + feedforward (C v + G) + tau_added,   |tau| <= tau_max
 
-Integration stops while the torque is saturated. In the drive, position and velocity have no quantisation or noise.
+Integration stops while the torque is saturated. The drive receives position and velocity without quantisation or noise.
 
-Friction (LuGre): between reversals the bristle force f relaxes over distance; for constant v in a step, exactly by
-``f' = s g + (f - s g) exp(-(c / delta) |dq| / g)`` with ``g = c (1 + (ratio - 1) exp(-(v / vs)^2))``, s the sign of v,
-and c the Coulomb friction in that direction. The torque against motion also contains ``viscous v + offset + ripple
-sin(cycles q + phase)``.
+Friction (LuGre): between reversals, the bristle force f relaxes with distance. For constant v within a step, the exact
+solution is ``f' = s g + (f - s g) exp(-(c / delta) |dq| / g)`` with ``g = c (1 + (ratio - 1) exp(-(v / vs)^2))``, s the
+sign of v, and c the Coulomb friction in that direction. The torque against motion also contains ``viscous v + offset +
+ripple sin(cycles q + phase)``.
 
 `WornFriction` also depends on temperature, load and time, each controlled by a parameter of `Mismatch`::
 
@@ -65,8 +65,8 @@ INTEGRAL_TIME = 0.05  # s
 class JointDrives:
     """Drives of all joints.
 
-    `inertia`: (n,) with rotors [kg m^2]. `feedforward`: (n,) share of gravity and Coriolis torques fed forward.
-    `step`: time between calls [s].
+    `inertia`: (n,) inertia of the joints including the rotors [kg m^2]. `feedforward`: (n,) share of gravity and
+    Coriolis torques fed forward. `step`: time between calls [s].
     """
 
     gravity: np.ndarray
@@ -86,7 +86,7 @@ class JointDrives:
         self._added = (tau, gain_q, gain_qd)
 
     def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
-        """Set the integral for the torque `holding` at rest; `bias` is the gravity torque [N m]."""
+        """Set the integral to the torque `holding` that keeps the arm at rest; `bias` is the gravity torque [N m]."""
         self._integral[:] = (holding - self._feedforward * bias) / self._gain
 
     def torque(
@@ -150,7 +150,7 @@ class JointFriction:
 
 WARM_TIME = 720.0  # s
 DRIFT = 2.0 * np.pi / 100.0  # rad/s, frequency of the offset drift
-WARM_SPEED = 0.25  # share of the speed limit at which friction warms the drive to 1
+WARM_SPEED = 0.25  # share of the speed limit at which friction warms the drive to state x = 1
 
 
 class WornFriction(JointFriction):
@@ -190,7 +190,8 @@ class TrueState:
 
     `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) drive torque, joint side [N m]. `tau_friction`:
     (n,) friction and ripple, against motion. `tau_gravity`: (n,) feedforward of the drives. `q_ref`: (n,) reference of
-    the drives. `wrench`: (6,) by the environment on the robot, base axes, at the tool point. `T_base_tool`: (4, 4).
+    the drives. `wrench`: (6,) wrench by the environment on the robot, base axes, at the tool point.
+    `T_base_tool`: (4, 4).
     """
 
     q: np.ndarray
@@ -472,7 +473,7 @@ def record(
     motion : reference of the drives.
     wrench : function of the times (N,) [s] that returns the wrenches (N, 6) by the environment on the robot, base axes,
         at the tool point [N, N m].
-    seed : seed of the jitter of time stamps and of the loss of samples.
+    seed : seed for the time-stamp jitter and the lost samples.
 
     Raises
     ------
@@ -505,7 +506,7 @@ def record(
 
 
 def scara() -> Robot:
-    """Return a generic SCARA robot with round dimensions."""
+    """Return a generic SCARA robot with rounded dimensions."""
     return from_dh(
         "scara",
         alpha=[0.0, 3.141592653589793, 0.0, 0.0],

@@ -70,8 +70,8 @@ class Mismatch(Shown):
     torque_constant : float
         Relative error of each joint's measured torque.
     gear_ratio : float
-        Relative error of each gear ratio in the conversion from motor to joint: it scales position and velocity, and
-        inversely torque.
+        Relative error of each gear ratio in the conversion from motor to joint: it scales position and velocity
+        directly, and torque inversely.
     gear_sign : int
         Number of joints with the wrong sign in the conversion from motor to joint.
     quantisation : float

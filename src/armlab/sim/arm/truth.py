@@ -1,8 +1,8 @@
 """Synthetic truth of the simulated arms: masses, friction, ripple and noise, assumed rather than measured.
 
 Masses and inertias are taken from the robot's description, or invented for a few library robots without masses.
-Manufacturers do not publish drive parameters. As ground truth for identification and force estimation, they are
-invented in plausible proportions to the torque limits. Packets contain only the drives' torque command and gravity
+Manufacturers do not publish drive parameters. As ground truth for identification and force estimation, drive parameters
+are invented in plausible proportion to the torque limits. Packets contain only the drives' torque command and gravity
 feedforward, which no part of armlab reads. docs/theory/simulated_arm.md describes the rules.
 """
 

@@ -21,7 +21,7 @@ from armlab.wire.egm.robot_side import SensorMessage
 _LARGEST = 65535
 _DRAINED = 64  # most datagrams read per cycle, even in a flood
 _SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; Python's socket module lacks the constant
-_LOOK = 0.25  # s between checks whether to keep waiting
+_LOOK = 0.25  # s between two checks of whether to keep waiting
 _FIRST = 0.5  # s to wait for the first reply to a stream, after which the peer counts as a listener
 _REFUSED_PAUSE = 0.05  # s before a packet is resent to a port that is not bound yet
 
@@ -85,7 +85,7 @@ class UdpClient:
             controller.inbox.stamp(time.time_ns(), controller.uptime)
         for number, datagram in datagrams:
             self._put(datagram)
-            if number > self._newest:  # a peer answers only packets newer than all before
+            if number > self._newest:  # a peer answers only packets newer than all previous ones
                 self._awaited, self._newest, self._expected = True, number, controller.packets.tm_ms(number)
 
     def drain(self) -> None:
@@ -100,8 +100,9 @@ class UdpClient:
     def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
         """Wait for the reply to the packet just sent; return False on timeout.
 
-        A packet lost to a fault needs no reply, nor does a stream. While the peer's port is not bound, the packet is
-        resent. After waiting once for a peer that has never replied, the controller sends one packet per period.
+        No reply is needed to a packet that a fault discards, or to a streaming packet. While the peer's port is not
+        bound, the packet is resent. After waiting once for a peer that has never replied, the controller sends one
+        packet per period.
         """
         if self._packet is None and not self._awaited:
             self.drain()  # discard datagrams from before this session

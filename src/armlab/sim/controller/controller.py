@@ -2,7 +2,7 @@
 
 Each cycle follows ABB (3HAC073318-001, section 2.3): build and send the packet, take at most one message from a FIFO
 queue, and move. Without a message, the last reference holds, including its speed. The reply to a packet takes effect in
-the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, reported as an event after 1 s.
+the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, which an event reports after 1 s.
 
 Phases: ``streaming`` (packets report STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
 ``paused`` (no packets) -> the next session or ``over``. Guidance returns to streaming when the motors or RAPID stop.
@@ -84,7 +84,7 @@ class PacketBuilder:
         return EPOCH_NS + round((cycle * self._period + self._phase) * 1e9)
 
     def tm_ms(self, cycle: int) -> int:
-        """Return the `tm` of a cycle's packet [ms], an integer, which packets of a period below 1 ms share."""
+        """Return the integer `tm` of a cycle's packet [ms]; with a period below 1 ms, packets share a value."""
         return _UPTIME_MS + int((cycle * self._period + self._phase) * 1e3 + 1e-6)
 
     def encode(
@@ -276,7 +276,7 @@ class SimulatedController:
             arm.place(self._hand.at(0.0)[0])
         self._guidance = Guidance(arm.robot, settings, arm.sample.q)
         self._target = ReferenceDecoder(arm.robot, settings)
-        self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # no torques without masses
+        self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # an arm without masses has no torques
         self._external = ExternalAxes(self._surroundings.external, settings)
         self.inbox: ReplyQueue = ReplyQueue(self.packets.codec, self.statistics, settings)
         self._cycles = {
@@ -359,7 +359,7 @@ class SimulatedController:
         self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
         if self.phase != "over" and not (np.abs([self.arm.sample.q, self.arm.sample.qd]) < _BEYOND).all():  # NaN too
-            self._die(0, "the simulated arm diverged; push it with less force")
+            self._die(0, "the simulated arm diverged; apply a smaller force")
 
     def skip(self, cycles: int) -> None:
         """Advance robot time without packets or motion."""

@@ -41,12 +41,12 @@ def run(
     alive: Callable[[], bool] = lambda: True,
     observe: Callable[[UdpClient], None] | None = None,
 ) -> str:
-    """Run until all controllers are over, the time is up, or `alive` returns False; return the reason.
+    """Run until all controllers have ended, the time is up, or `alive` returns False; return the reason.
 
     `observe` is called with each channel after its packet is built. All controllers have the same period.
     """
     gc.collect()
-    gc.freeze()  # exclude existing objects from collections, whose pauses would cost cycles
+    gc.freeze()  # exclude existing objects from garbage collection, whose pauses would cost cycles
     try:
         return (_lockstep if pace.lockstep else _real_time)(channels, pace, alive, observe or (lambda _: None))
     finally:

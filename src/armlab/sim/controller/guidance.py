@@ -1,8 +1,9 @@
 """Reference generation from messages: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
 
 The reference generator follows ABB (3HAC073318-001, section 2.3); its filter is our own model
-(docs/theory/simulated_arm.md). Pose and path modes serve to test codecs: the goal is the inverse-kinematics solution
-nearest to the planned joint positions. A path correction shifts the initial tool position along y and z of the tool.
+(docs/theory/simulated_arm.md). Pose and path modes are intended for tests of codecs: the goal is the inverse-kinematics
+solution nearest to the planned joint positions. A path correction shifts the initial tool position along y and z of the
+tool.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Guidance:
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 
     def _outside(self, q: np.ndarray, margin: float) -> np.ndarray:
-        """Return the mask of ABB's axes that are out of range; only a parallel rod makes them differ from joints."""
+        """Return the mask of ABB's axes that are out of range; they equal joints unless a parallel rod exists."""
         axes = q if self._linkage is None else self._linkage.axes(q)
         return (axes < self._robot.q_min - margin) | (axes > self._robot.q_max + margin)
 

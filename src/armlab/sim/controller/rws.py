@@ -35,7 +35,7 @@ FAULTS = {
     "motors": "the motors do not switch on",
     "mastership": "another program holds mastership",
     "busy": "another program runs",
-    "main": "another module has a main",
+    "main": "another module contains a procedure main",
     "module": "the guidance module is loaded with different content",
     "file": "the guidance module in the home folder has different content",
     "semantic": "RAPID refuses the module",
@@ -481,7 +481,7 @@ _ROUTES: tuple[tuple[str, str, str, _Answer], ...] = (  # method, RWS 1.0 with i
     ("GET", "/logout", "/logout", lambda b, r: [_release(b, r)][:0]),
     ("POST", "/users/.*", "/rw/(?:infostream/disconnectclient|_istream/streamdisconnect)", lambda b, r: None),
 )
-_AS_RESOURCES = (_tasks, _devices, _interfaces, _events, _files)  # RWS 2.0 embeds these
+_AS_RESOURCES = (_tasks, _devices, _interfaces, _events, _files)  # RWS 2.0 embeds these as resources
 
 
 class RwsServer:

@@ -43,8 +43,8 @@ class ControllerSettings:
     Attributes
     ----------
     period : float
-        Time between two packets, and between two messages taken [s]. 0 selects 4.032 ms as on a real controller, or
-        24 ms for path corrections, the default of RAPID's \\SampleRate.
+        Time between two packets, and between two messages taken from the queue [s]. 0 selects 4.032 ms as on a real
+        controller, or 24 ms for path corrections, the default of RAPID's \\SampleRate.
     gain : float
         Proportional position gain k [1/s].
     filter : float
@@ -68,7 +68,7 @@ class ControllerSettings:
     stream : float
         Duration of streaming (MCI stopped) before guidance begins [s].
     restart : float
-        Time from the end of a session to the next [s].
+        Time from the end of a session to the start of the next [s].
     program : str
         "loop" starts another session when a session ends, "once" does not. "stream" only streams, without guidance.
         "lead-through" streams while a hand leads the arm.

@@ -40,16 +40,16 @@ class CalibrationCell(Shown):
         robot: tuple[float, float] | None = None,
         wrong: int = 0,
     ) -> Poses:
-        """Draw poses A of a robot and B of a marker in a camera, with ``A X = Y B``.
+        """Draw robot poses A and marker poses B in the camera frame, with ``A X = Y B``.
 
         Parameters
         ----------
         run : number of the experiment.
         N : number of poses.
-        tilt : largest tilt of the tool from one orientation [rad]; None: any orientation.
+        tilt : largest tilt of the tool from a fixed orientation [rad]; None: any orientation.
         camera : noise of B (position [m], rotation [rad]).
         robot : noise of A (position [m], rotation [rad]); None: exact.
-        wrong : number of outliers, the first poses of the marker: rotated by 10 degrees and moved by 50 mm.
+        wrong : number of outliers: the first marker poses are rotated by 10 degrees and moved by 50 mm.
         """
         return sensors.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
 
@@ -104,11 +104,11 @@ class CalibrationCell(Shown):
         run : number of the experiment.
         N : number of samples.
         sigma : noise of the forces [N].
-        tilt : largest tilt of the tool from one orientation [rad]; None: any orientation.
+        tilt : largest tilt of the tool from a fixed orientation [rad]; None: any orientation.
         torque : noise of the torques [N m]; None: forces only.
         unknown : whether to draw a random direction of gravity.
         bias : whether to draw a sensor bias.
-        contacts : number of samples with a contact of 20 N, at the beginning.
+        contacts : number of samples with a contact force of 20 N, at the beginning.
         """
         return sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
 
@@ -140,9 +140,9 @@ class CalibrationCell(Shown):
         run : number of the experiment.
         N : number of samples.
         truth : "lpoe" for errors in every frame of the arm, "dh" for errors in every number of its DH table.
-        tool : whether the nominal tool is away from the flange.
+        tool : whether the nominal tool is offset from the flange.
         harmonics : whether to add joint errors of orders 1 and 2 with amplitudes of about 0.02 deg.
-        wrong : number of outliers, the first poses: rotated by 2 degrees and moved by 20 mm.
+        wrong : number of outliers: the first poses are rotated by 2 degrees and moved by 20 mm.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class CalibrationCell(Shown):
         ----------
         run : number of the experiment.
         N : number of samples.
-        wrong : number of outliers, the first poses: rotated by 2 degrees and moved by 20 mm.
+        wrong : number of outliers: the first poses are rotated by 2 degrees and moved by 20 mm.
         """
         return kinematics.dual_run(run, self.seed, N, wrong)
 
@@ -182,7 +182,7 @@ class CalibrationCell(Shown):
         N : number of scans.
         size : scale of the noise; 1 is 0.5 mm.
         plates : number of plates, one to three, scanned in turn.
-        wrong : number of outliers, the first scans: moved by 20 mm and rotated by 10 degrees.
+        wrong : number of outliers: the first scans are moved by 20 mm and rotated by 10 degrees.
 
         Raises
         ------

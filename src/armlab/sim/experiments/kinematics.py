@@ -103,12 +103,12 @@ def sliding_robot() -> Robot:
 
 
 def moved(arm: LocalArm, shifts: np.ndarray, turns: np.ndarray) -> LocalArm:
-    """Return the arm with frames ``F_j [Exp(turn), shift]``."""
+    """Return the arm with perturbed frames ``F_j [Exp(turn), shift]``."""
     return LocalArm(arm.frames @ se3.from_rp(so3.exp(turns), shifts), arm.screws, arm.amplitudes)
 
 
 def noisy(T: np.ndarray, rng: np.random.Generator, noise: tuple[float, float] = NOISE) -> np.ndarray:
-    """Return poses with noise (m, rad), drawn first for all rotations."""
+    """Return poses with noise (m, rad); the noise of all rotations is drawn first."""
     return sensors.noisy(rng, T, noise)
 
 

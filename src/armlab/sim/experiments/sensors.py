@@ -25,7 +25,7 @@ MARKER = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Noisy poses A of a robot and B of a marker, and the ground truth: X, Y, and the poses without noise."""
+    """Noisy poses A of a robot and B of a marker, and the ground truth: X, Y, and the noise-free poses."""
 
     A: np.ndarray
     B: np.ndarray
@@ -42,7 +42,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Noisy robot poses A and marker points p (N, 3, 3), and the ground truth: X, Y, and both without noise."""
+    """Noisy robot poses A and marker points p (N, 3, 3), and the ground truth: X, Y, noise-free poses and points."""
 
     A: np.ndarray
     p: np.ndarray
@@ -73,7 +73,7 @@ def tilted(rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
 
 
 def noisy(rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
-    """Return poses (N, 4, 4) with noise (m, rad), drawn first for all rotations."""
+    """Return poses (N, 4, 4) with noise (m, rad); the noise of all rotations is drawn first."""
     R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
     return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
 
