@@ -39,7 +39,7 @@ class Order(NamedTuple):
 
     @property
     def server(self) -> str:
-        """Name of the server of the client."""
+        """Name of the server to which the client is connected."""
         return self.client.partition(" ")[0]
 
 
@@ -229,7 +229,7 @@ class Arbiter:
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms of a commanding client; default: all arms."""
+        """Free the arms of a commanding client; by default, free all arms."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")

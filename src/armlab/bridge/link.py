@@ -371,7 +371,9 @@ class Link:
     ) -> Run:
         """Run a controller on the robot: one call and one reply per packet.
 
-        The arm holds until the controller returns a first command within `Limits.entry` of its position. The run ends
+        The arm holds until the controller returns a first command within `Limits.entry` of the arm position.
+
+        The run ends
 
         - after `seconds`, or when the controller returns ``Command.stop()``;
         - when the controller raises an error or is late too often;
@@ -383,8 +385,8 @@ class Link:
         controller times out. If a controller call lasts longer than 1 s, Ctrl-C interrupts the call.
 
         With several arms, each packet of the pacing arm triggers a controller call with the State of all arms, as long
-        as all are ready. The other arms receive their newest commands in their own ticks. All arms hold when one is not
-        ready, ends its session or falls silent.
+        as all are ready. The other arms receive their newest commands in their own ticks. All arms hold when any arm is
+        not ready, ends its session or falls silent.
 
         Parameters
         ----------
@@ -434,7 +436,7 @@ class Link:
         UnknownName
             `pace` is not an arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed
-            Each of these errors holds the rows of the last ten seconds in `.table`.
+            The attribute `table` of each of these errors contains the rows of the last ten seconds.
         """
         self._check(controller, seconds, wait, reconnect)
         names = [robot.name for robot in self.robots]

@@ -196,7 +196,7 @@ def _packages() -> tuple[Any, Any]:
 
 
 def _challenge(url: str, place: str, verify: bool | str) -> str:
-    """Return the authentication scheme that a server requests; sends no credentials."""
+    """Return the authentication scheme that a server requests, without sending credentials."""
     requests, _ = _packages()
     with requests.Session() as session:
         session.trust_env, session.verify = False, verify
@@ -441,7 +441,7 @@ class AbbController:
         self._wait(lambda: self._ask(self._rws.get_controller_state) == "motoron", "the motors to switch on")
 
     def start(self, tasks: Sequence[str]) -> None:
-        """Start RAPID in the given motion tasks, deselect all others, and check that RAPID runs."""
+        """Start RAPID in the given motion tasks, deselect all other tasks, and check that RAPID is running."""
         self._ask(self._rws.start, "forever", list(tasks))
         self._wait(self.runs, "RAPID to run")
 

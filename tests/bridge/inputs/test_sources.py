@@ -369,7 +369,7 @@ def test_unknown_names_and_a_flood_of_settings() -> None:
     ("fields", "words"),
     [
         ({"name": "2x"}, "unused parameter name"),
-        ({"name": "set"}, "free"),
+        ({"name": "set"}, "unused"),
         ({"name": None}, "unused parameter name"),
         ({"type": "double"}, "to be float, int"),
         ({"type": "float[0]"}, "to be float, int"),

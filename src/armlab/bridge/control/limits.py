@@ -38,7 +38,7 @@ class Limits(Shown):
     qdd_max : array, shape (n,), rad/s^2 or m/s^2
         Highest accelerations.
     jump : array, shape (n,), rad or m
-        Largest step from the last position sent, beyond ``qd_max dt``.
+        Largest step from the last position sent, in excess of ``qd_max dt``.
     entry : array, shape (n,), rad or m
         Largest distance of the first position from the held position; at most `jump`.
     tau_max : array, shape (n,), N m or N
@@ -48,7 +48,8 @@ class Limits(Shown):
     external : Limits
         Limits of the external axes, see `Limits.of_axes`; None refuses commands to them.
     following_error : array, shape (n,), rad or m
-        Largest distance of the feedback from the reference, beyond 0.05 s times the reference speed; default: `jump`.
+        Largest distance of the feedback from the reference, in excess of 0.05 s times the reference speed; default:
+        `jump`.
     lag : float, s
         Time constant with which the arm follows its reference: 1/k for a gain k of EGM's position loop (0.2 s for
         the default of 5 1/s). The reference starts braking earlier, by the lag times its speed.
@@ -218,7 +219,7 @@ class Limiter:
         return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
-        """Rest at `q` (n,) regardless of the last reference; for an arm that does not follow references."""
+        """Set the reference to rest at `q` (n,); for an arm that does not follow references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
         sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
         sent.flags.writeable = False
@@ -290,7 +291,7 @@ _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
 def requested(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return position, velocity and torque (n,) of a command (None if unset); raise an error if it is invalid."""
+    """Return position, velocity and torque (n,) of a command (None if unset); raise an error if they are invalid."""
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "

@@ -310,7 +310,7 @@ class Loop:
             arm.record()
 
     def _may_ask(self, pending: Sample | None = None) -> bool:
-        """Return whether all arms are ready with recent packets, and no required source is stale."""
+        """Return whether all arms are ready and have recent packets, and no required source is stale."""
         for arm in self._arms:
             if not arm.machine.calls or arm.fusion.missing:
                 return False
@@ -322,7 +322,7 @@ class Loop:
         return True
 
     def _answer(self, arm: ArmSession, pending: Sample) -> None:
-        """Reply without the controller: the pacing arm holds, and another arm gets its newest command."""
+        """Reply without calling the controller: the pacing arm holds, and any other arm gets its newest command."""
         command = None
         if arm is self._pace:
             for other in self._others:

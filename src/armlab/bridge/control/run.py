@@ -146,7 +146,7 @@ class Run(Shown):
         Why the run ended.
     statistics : mapping
         Counts and latencies, also stored as the summary of the recording; for several arms, "arms" contains those
-        of each arm by name.
+        of each arm under its name.
     events : tuple of (int, str)
         Wall clock [ns] and text of each event.
     path : Path

@@ -1,4 +1,4 @@
-"""`examine`: check whether the computer, the network and the robot are ready for a run; sends nothing to a robot."""
+"""`examine`: check whether the computer, network and robot are ready for a run, without sending to the robot."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def addresses(found: Mapping[str, str]) -> Finding:
 
 
 def route_to(host: str) -> str:
-    """Return the source address of packets to a host, or "" without a route; sends nothing."""
+    """Return the source address of packets to a host, or "" without a route, without sending any packet."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((host, 9))  # UDP: only selects the route
@@ -230,7 +230,7 @@ class _PortListener:
 
 
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], requested: bool) -> list[Finding]:
-    """Bind the ports, listen, and return the findings; sends only a token to the addresses of this computer."""
+    """Bind the ports, listen, and return the findings; send only a token, to the addresses of this computer."""
     found: list[Finding] = []
     listeners: list[_PortListener] = []
     for number, robot in zip(numbers, robots, strict=True):

@@ -1,6 +1,6 @@
 """`Fusion`: newest reading of each source at each tick, with its age, freshness, and timestamp on our clock.
 
-Fusion holds the last values; it neither waits nor interpolates. Stale values are NaN in a State, but stay in the log.
+Fusion keeps the last values; it neither waits nor interpolates. Stale values are NaN in a State, but stay in the log.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ClockMap:
         self._line: tuple[int, float] = (0, 0.0)  # source timestamp, and the offset at that time
 
     def reset(self) -> None:
-        """Restart the estimate after the other clock was set or its program restarted."""
+        """Restart the estimate after the other clock has been set or its program has restarted."""
         self.resets += 1
         self._forget()
 
@@ -110,7 +110,7 @@ class Held(Shown):
     gaps : int
         Number of lost readings.
     seq : int
-        Number of the reading; 0 before the first.
+        Sequence number of the reading; 0 before the first reading.
     source_ns : int, ns
         Timestamp on the source's clock; 0 if the source sends no timestamps.
     receive_ns : int, ns

@@ -34,7 +34,7 @@ TICK_COLUMNS = {
     "source_time": Column(unit="s"),
     "delay": Column(unit="s"),
 }
-"""Log columns of each source besides its fields; `delay` is the time from the mapped source timestamp to arrival."""
+"""Log columns of each source in addition to its fields; `delay` is the time from the mapped timestamp to arrival."""
 
 
 class Reading(NamedTuple):
@@ -256,7 +256,7 @@ class ThreadSource(Source):
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the thread, and wait at most 1 s for its end."""
+        """Stop the thread, and wait at most 1 s for it to end."""
         self._over.set()
         if self._thread is not None:
             self._thread.join(1.0)

@@ -137,7 +137,7 @@ _TAKEN = 16  # messages read from a client before the next client's turn
 
 
 class _Client:
-    """Connection of one client; `pace` limits its rows (None: no rows)."""
+    """Connection of one client; `pace` limits its row rate (None: no rows)."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         self.connection, self.name = connection, name

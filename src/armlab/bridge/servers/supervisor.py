@@ -27,7 +27,7 @@ PLACE = "{fd}"
 """Placeholder in a command for the number of the socket to the loop."""
 
 RESTARTS = (1.0, 5.0, 30.0)
-"""Delays before a crashed server is restarted [s]; after the last delay it is not restarted again."""
+"""Delays before a crashed server is restarted [s]; once all delays are used, the server is not restarted again."""
 
 WELL = 300.0
 """Uptime after which the restart count of a server is reset [s]."""
@@ -44,7 +44,7 @@ def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
 
 
 class _Child:
-    """Command line, process and restarts of one server."""
+    """Command line, process and restart count of one server."""
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
         self.name, self.command = name, list(command)

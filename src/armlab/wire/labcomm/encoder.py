@@ -76,7 +76,7 @@ class Encoder:
         return packet + write_packet(Binding(index, 0), self.dialect) if self._type_defs else packet
 
     def ref(self, sample: SampleType) -> bytes:
-        """Return the SAMPLE_REF of a type, so that values may refer to it.
+        """Return the SAMPLE_REF of a type, so that values can refer to the type.
 
         Parameters
         ----------

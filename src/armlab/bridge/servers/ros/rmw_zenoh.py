@@ -234,7 +234,7 @@ class RmwZenohServer(RosServer):
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Update the topics with readers, which are kept for a while after a disconnection; for use in any thread."""
+        """Update the topics with readers, keeping each for a while after a disconnection; for use in any thread."""
         now = time.monotonic()
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]

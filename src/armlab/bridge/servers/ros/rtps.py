@@ -167,7 +167,7 @@ class _Reader:
             self.early[number] = payload
 
     def skip(self, number: int) -> None:
-        """Skip to a number; no more messages will arrive before it."""
+        """Skip to a number; no messages with smaller numbers will arrive."""
         if number > self.next + _WINDOW:
             self.next = number
             self.early.clear()

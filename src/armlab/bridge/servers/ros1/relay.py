@@ -96,7 +96,7 @@ class _Node:
         return Listener()
 
     def _hand_over(self, publisher):
-        """Pass new connections to a topic on to the bridge."""
+        """Pass new connections for a topic to the bridge."""
         with self._lock:
             name = publisher.resolved_name
             before = self._handed.get(name, ())

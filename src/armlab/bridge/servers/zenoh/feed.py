@@ -197,7 +197,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
         return gone is not None and time.monotonic() - gone >= self._patience
 
     def _answered(self, lab: str, robot: str, about: bytes) -> None:
-        """Handle the reply of a bridge that has returned."""
+        """Handle the reply of a bridge that is reachable again."""
         if not self._is_unsure:
             return
         try:

@@ -237,7 +237,7 @@ _ANSWER = 2.0  # s for a reply
 
 
 class Discovery:
-    """Sender of "about" queries, at most twice per second and bridge."""
+    """Sender of "about" queries: at most two per second to each bridge."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
@@ -410,7 +410,7 @@ class BlockingPublisher(Publisher):
                 self.dropped += 1
 
     def close(self) -> None:
-        """Send the queue and stop; must be called before the session is closed."""
+        """Send the queued messages and stop; must be called before the session is closed."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=_LAST)
         self._thread.join(_LAST)
