@@ -119,7 +119,7 @@ def test_rest_that_training_did_not_have(model, excited) -> None:
     assert "rest" in found.warnings[0]
     assert found.rest_share == pytest.approx(0.5, abs=0.05)
     assert found.longest_rest == pytest.approx(15.0, abs=0.2)
-    assert "warning: Expected as little rest" in found.text()
+    assert "warning: Expected as little standstill" in found.text()
 
 
 def test_positions_and_speeds_outside_training_are_named(model, truth) -> None:

@@ -282,4 +282,4 @@ def test_the_example_runs_on_the_log() -> None:
     command = [sys.executable, ROOT / "examples/13_real_arm.py", DATA / "staubli_tx40"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert "warning: Expected as little rest as in training" in done.stdout
+    assert "warning: Expected as little standstill as in training" in done.stdout

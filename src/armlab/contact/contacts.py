@@ -8,8 +8,8 @@ Hypotheses about the contact location:
     wrench   force and moment at the tool: 6
     link k   a force somewhere on link k: the torques of distal joints are zero
 
-The score of each over a window is the log evidence ``sum log N(tau_e; 0, J_h^T C_h J_h + C_tau)``, scaled to the
-effective sample size. Theory: docs/theory/contact_force.md.
+The score of each hypothesis over a window is the log evidence ``sum log N(tau_e; 0, J_h^T C_h J_h + C_tau)``, scaled to
+the effective sample size. Theory: docs/theory/contact_force.md.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Hypotheses(Shown):
     posterior : array, shape (K, H)
         Posterior probabilities for equal prior odds; rows sum to 1.
     decision : tuple of str, length K
-        Most likely hypothesis; "undecided" where it is less than 20 times as likely as the second.
+        Most likely hypothesis; "undecided" if it is less than 20 times as likely as the second.
     link : bool array, shape (K,)
         True in contact unless every hypothesis "link k" is excluded at odds of 400 to 1; a force reported at the tool
         may then act on a link.

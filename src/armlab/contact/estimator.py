@@ -7,7 +7,7 @@ C_tau(qd) over velocity.
             defined at singular poses, where it returns the prior. Shrinkage causes the bias ``(I - K J^T) F``.
 "bounded"   treats friction near rest as bounded rather than random: minimises
             ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 + F^T C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt,
-            Robertsson and Johansson, IROS 2013). It reports no contact unless proven, and does not drift at rest.
+            Robertsson and Johansson, IROS 2013). It reports contact only if proven, and does not drift at rest.
             Joints inside their bound contribute nothing.
 "interval"  like "bounded", plus the guaranteed interval of every axis for |friction error| <= D, |noise| <= 3 s and
             torque gains within 3 standard deviations, by linear programming.
@@ -79,7 +79,7 @@ class Wrench(Shown):
     torque_variance : (n,) variance of `torque_error`.
     prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (the last three unused).
     flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED.
-    active : (n,) joints that contribute; when INFEASIBLE, those that contradict each other.
+    active : (n,) joints that contribute; with INFEASIBLE, the joints that contradict each other.
     interval : (6, 2) guaranteed smallest and largest value per axis, for the method "interval".
     at_point : True for a contact at a known point, which has three unknowns instead of six.
     tared_at : time of the active tare [s], or None.
@@ -161,7 +161,7 @@ STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `W
 GAIN = 30.0  # 1/s, gain of the observer
 PARTS = 100  # parts per log between progress reports
 TARE, MEMORY = 0.5, 0.1  # s: shortest tare; correlation time of errors
-STAYS = 0.5  # share of the SD at rest: the full SD made the bands of a tared Panda twice too wide
+STAYS = 0.5  # share of the SD at rest: with the full SD, the bands of a tared Panda were too wide by a factor of 2
 
 
 class Estimator:
@@ -171,9 +171,9 @@ class Estimator:
     Static methods use a second-order residual filter at the model's cut-off (10 Hz: 22 ms delay), the observer uses a
     first-order filter (33 ms), and the delay of the Kalman filter follows from the covariances.
 
-    An estimator belongs to one thread at a time, because its filter would mix the samples of two. Another thread may
-    take over; then `step` raises `ConcurrentUse` in the earlier threads until `reset`. Create one estimator per thread.
-    A copy has the same state; a pickle starts fresh.
+    An estimator belongs to one thread at a time, because its filter would mix the samples of two threads. Another
+    thread may take over; then `step` raises `ConcurrentUse` in the earlier threads until `reset`. Create one estimator
+    per thread. A copy has the same state; an unpickled estimator starts with a reset state.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ class Estimator:
         return f"Estimator({self._model.robot_name!r}, method={self._method!r}, prior={brief(np.sqrt(self._prior))})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle only the model and options; the unpickled estimator starts fresh."""
+        """Pickle only the model and options; the unpickled estimator starts with a reset state."""
         return self._with, (self._model,)
 
     def __copy__(self) -> Estimator:
@@ -304,8 +304,8 @@ class Estimator:
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
 
-        A sample that is not finite or whose torque overflows yields NaN and changes nothing; the next time step counts
-        from the last valid sample.
+        A sample that is not finite or whose torque overflows yields NaN and does not change the state; the next time
+        step starts at the last valid sample.
 
         Parameters
         ----------
@@ -347,7 +347,7 @@ class Estimator:
         if self._tare is None:
             raise ConfigError(
                 f"Expected an estimator with method='kf' and bias=True to tare, got method={self._method!r} without a "
-                "friction error to set. Create one with these options."
+                "friction state. Create one with these options."
             )
         self._refuse_running()
         if not self._tare():
@@ -399,7 +399,7 @@ class Estimator:
         check_known(q, tau, self._robot)
         found = self._run(q, qd, tau, np.ascontiguousarray(table.dt), progress)
         missed = (found[5] & INVALID) > 0
-        if missed.any():  # the time step of the next row counts from the last valid row, as in `step`
+        if missed.any():  # the time step of the next row starts at the last valid row, as in `step`
             found = self._run(q, qd, tau, _bridged(table, missed), progress)
         F, cov, observability, error, variance, flags, active, interval = found
         table = (
@@ -458,8 +458,8 @@ class Estimator:
     def _refuse_running(self) -> None:
         if self._running:
             raise ConcurrentUse(
-                "Expected one thread at a time to use an Estimator, but another thread is in run(). Create one for "
-                "each thread."
+                "Expected one thread at a time to use an Estimator, but another thread is in run(). Create one "
+                "estimator per thread."
             )
 
     def _take_over(self) -> None:
@@ -516,8 +516,8 @@ def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:
         given = [name for name, value in values.items() if value is not None]
         if given and method != owner:
             raise ConfigError(
-                f"Expected {', '.join(given)} with method={owner!r} only, got method={method!r}. Omit it, or choose "
-                "that method."
+                f"Expected {', '.join(given)} with method={owner!r} only, got method={method!r}. Omit "
+                f"{', '.join(given)}, or use method={owner!r}."
             )
 
 
@@ -525,7 +525,7 @@ def _positive(values: ArrayLike, what: str, shape: tuple[int, ...] = (6,)) -> np
     found = numbers(values, what, ShapeError)
     if found.shape != shape or not np.all(np.isfinite(found)) or not np.all(found > 0):
         count = "six positive" if shape else "a positive"
-        raise ShapeError(f"Expected {count} {what}, got {values!r}. Pass the expected size.")
+        raise ShapeError(f"Expected {count} {what}, got {values!r}. Pass the expected magnitude.")
     return found
 
 

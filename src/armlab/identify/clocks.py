@@ -4,8 +4,8 @@ Controllers sample at even intervals, but networks and loggers make timestamps u
 of timestamp against row number: piecewise linear through the median stamps of two-second blocks. A row is lost if all
 later stamps are delayed by a period; if a row is merely late, later rows are not delayed.
 
-A column with delay T shows the motion from T earlier. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts of
-the column, with R_i the residual power of the regression for joint i. The weight w_i is the second derivative of log
+A column with delay T shows the motion at a time T earlier. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts
+of the column, with R_i the residual power of the regression for joint i. The weight w_i is the second derivative of log
 R_i divided by the variance of the first derivative. This variance is estimated from the scatter between blocks of half
 a second, so slow torque errors hardly affect the delay. The variance of the delay is the inverse of the weighted second
 derivative, or the scatter of the joints' delays if that is larger, with a Student's t factor for few joints.
@@ -19,14 +19,14 @@ from itertools import pairwise
 import numpy as np
 
 BRIDGED = 4  # consecutive lost rows that are interpolated; longer gaps end a segment
-WINDOW = 50  # rows within which a late row is caught up
+WINDOW = 50  # number of rows within which the stamps recover from a late row
 CAUGHT_UP = 0.25  # periods: jitter of the earliest row in the window
 BLOCK = 2.0  # s, length of the blocks for the medians
 JITTER = 0.01  # share of the period: smaller jitter is rounding of the stamps
 EARLIEST, LATEST = -0.06, 0.32  # s, range of the searched delays
 STEP = 0.004  # s, spacing of the shifts in the coarse search
 LEAST, SURE = 0.5, 4.0  # periods and standard deviations: smaller delays are not corrected
-DOUBT, SAMPLED = 1e-3, 0.2  # s, or periods if longer: unmodelled lag of friction
+DOUBT, SAMPLED = 1e-3, 0.2  # in seconds, or in periods if that is longer: unmodelled lag of friction
 FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, blocks whose scatter gives its variance
 EXACT = 1e-6  # power fraction attributed to rounding
 VAGUE = 0.01  # s: a delay with a larger standard deviation is unknown

@@ -113,7 +113,7 @@ def physically_consistent(
     ------
     MissingExtra : cvxpy is not installed.
     ModelMismatchError : a model of another robot.
-    ConfigError : a fit loaded from a file, or without all base parameters.
+    ConfigError : a fit loaded from a file, or a fit without all base parameters.
     ShapeError : a prior that is inconsistent or has the wrong shape, or a non-positive strength.
     UnknownName : unknown `pull`.
     NotConverged : the solver found no solution.
@@ -130,7 +130,7 @@ def physically_consistent(
     if pull not in PULLS:
         raise UnknownName.among("regularisation", pull, PULLS)
     if not 0 < strength < np.inf:
-        raise ShapeError(f"Expected a strength above 0, got {strength}. Omit it to use 1.")
+        raise ShapeError(f"Expected a strength above 0, got {strength}. Omit strength to use 1.")
     base = base_parameters(robot)
     root = _information_root(fit, base)
     target = fit.parameters[: len(base.names)]
@@ -203,9 +203,7 @@ def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
     NotConverged : the solver found no solution.
     """
     if len(fit.parameters) != 10:
-        raise ConfigError(
-            f"Expected a load with inertia, got {len(fit.parameters)} parameters. Identify it with mode='dynamic'."
-        )
+        raise ConfigError(f"Expected a load with inertia, got {len(fit.parameters)} parameters. Use mode='dynamic'.")
     cvxpy, far = _cvxpy(), float(np.linalg.norm(fit.value.centre)) or 1.0
     scale = np.diag([far, far, far, 1.0])
     expand = _parameters_of(scale)
@@ -218,7 +216,10 @@ def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
     text = fit.report()
 
     def summary(moved: Fit[Payload]) -> str:
-        return f"{moved.table()}\nmoved by {distance:.2g} deviations to become physically consistent; before:\n{text}"
+        return (
+            f"{moved.table()}\nmoved by {distance:.2g} standard deviations to become physically consistent; "
+            f"before the change:\n{text}"
+        )
 
     return replace(fit, value=replace(fit.value, pi=pi), parameters=pi, summary=summary)
 
@@ -254,7 +255,7 @@ def _prior(prior: np.ndarray | None, robot: Robot, model: TorqueModel) -> np.nda
     if np.any(least <= 0):
         listed = ", ".join(f"link {i + 1}" for i in np.flatnonzero(least <= 0))
         raise ShapeError(
-            f"Expected a consistent prior, but it is inconsistent for {listed}. See robots.inertia.from_body."
+            f"Expected a consistent prior, got inconsistent parameters for {listed}. See robots.inertia.from_body."
         )
     return links
 
@@ -298,7 +299,7 @@ def _nearest(
 
 
 def _solve(cvxpy: Any, problem: Any) -> None:
-    """Solve the program; raise if there is no solution."""
+    """Solve the program; raise an error if there is no solution."""
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)  # SOLVER sets the accuracy

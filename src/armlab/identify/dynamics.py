@@ -15,7 +15,7 @@ Five stages, in this order:
    small for coloured residuals. Friction drift and the uncertainty of the friction structure are added
    (`identify.solve`).
 5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
-   filter. The torque covariance over velocity is fitted to these and scaled to 95.4 % coverage of 2 sigma
+   filter. The torque covariance over velocity is fitted to these residuals and scaled to 95.4 % coverage of 2 sigma
    (`identify.validation`).
 
 `fit_gravity` fits only gravity, friction and offsets from slow motion; `identify.many` runs the same stages over any
@@ -70,9 +70,9 @@ from armlab.robots import Robot
 
 CUTOFF = 10.0  # Hz, cut-off of the estimator's causal filter
 FEWEST = 8.0  # independent segments needed to identify a nonlinear friction parameter
-NO_LOAD = 0.02  # SD of the load friction of joints without that term
+NO_LOAD = 0.02  # SD of the load friction of joints without a load term
 UNKNOWN = 1e3  # SD of a parameter that is not in the prior
-BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2 or m/s^2: limit for `fit_gravity` on this quantile of acceleration
+BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; for `fit_gravity`: largest acceleration [rad/s^2, m/s^2] at this quantile
 
 Progress = Callable[[int, int, str], None]
 
@@ -192,7 +192,7 @@ def fit_gravity(
 
 
 def _check_slow(data: Record, robot: Robot) -> None:
-    """Raise if the inertial torques of the motion are not negligible."""
+    """Raise an error if the inertial torques of the motion are not negligible."""
     band = min(BAND, data.rate / 10.0)
     acceleration = np.quantile(np.abs(data.filter(data.differentiate(data.qd), band)), QUANTILE, axis=0)
     fast = np.flatnonzero(acceleration > SLOW)
@@ -211,7 +211,7 @@ def fit_model(
     settings: FitSettings,
     check: Callable[[Record], None] = lambda data: None,
 ) -> Fit[TorqueModel]:
-    """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` raises on unsuitable records."""
+    """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` raises an error for unsuitable records."""
     settings.check(robot)
     settings.tell(0, 5, "checking the log")
     record, settings, rest = _moving(table, robot, settings)
@@ -308,7 +308,7 @@ class FitSettings:
         return corner
 
     def check(self, robot: Robot) -> None:
-        """Raise on an unknown method, or a prior that is not a fit of this robot."""
+        """Raise an error for an unknown method, or a prior that is not a fit of this robot."""
         if self.prior is not None:
             if not isinstance(getattr(self.prior, "value", None), TorqueModel):
                 found = type(self.prior).__name__

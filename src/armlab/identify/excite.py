@@ -5,7 +5,7 @@
 (Swevers et al. 1997). A quintic window blends the motion in and out, so that it starts and ends at rest. Seeded
 candidates are scaled to the limits. The candidate with the largest log det of the information of the base regressor is
 selected (D-optimality, which is independent of the parameter units). Candidates that collide or exceed the motor
-torques are discarded; those with too little slow motion or too few reversals to identify friction are ranked last.
+torques are discarded; candidates with too little slow motion or too few reversals to identify friction are ranked last.
 """
 
 from __future__ import annotations
@@ -208,14 +208,14 @@ def design_excitation(
     harmonics : number of harmonics.
     speed : peak speed as a share of the robot's limits, in (0, 1].
     acceleration : peak acceleration [rad/s^2].
-    centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from them. Default: the robot's
-        home, moved away from the limits until every joint has 70 degrees on both sides (or half its range, if that is
-        smaller).
+    centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from the limits. Default: the
+        robot's home, moved away from the limits until every joint has 70 degrees on both sides (or half its range, if
+        that is smaller).
     seed : seed of the candidates.
     sigma : (n,) standard deviation of the torque noise [N m], which weights the joints; default: equal.
     collides : collision check of a posture (n,), called ten times per second along each candidate.
-    rounds : steps of a search around the best candidate, 5 ms each; 300 reduce the predicted standard deviations by
-        about 20 %.
+    rounds : steps of a search around the best candidate, 5 ms each; 300 steps reduce the predicted standard deviations
+        by about 20 %.
     progress : called with (done, total, what).
 
     Returns
@@ -241,7 +241,7 @@ def design_excitation(
     if not 0 < f0 < np.inf or not acceleration > 0 or not counts:
         raise ShapeError(
             f"Expected f0 and acceleration above 0, at least one harmonic and rounds of at least 0, got {f0:g} Hz, "
-            f"{acceleration:g}, {waves:g} and {tries:g}. Omit them to use the defaults."
+            f"{acceleration:g}, {waves:g} and {tries:g}. Omit these arguments to use the defaults."
         )
     rng = generator(seed)
     base = base_parameters(robot)
@@ -310,7 +310,7 @@ def dither(
     ----------
     centre : (n,) centre of the oscillation [rad or m].
     seconds : duration [s], above 0.
-    amplitude : amplitude of all joints, or of each (n,) [rad or m].
+    amplitude : amplitude of all joints, or of each joint (n,) [rad or m].
     frequency : frequency [Hz].
 
     Raises
@@ -449,7 +449,7 @@ def _deviation(robot: Robot, sigma: np.ndarray) -> np.ndarray:
     values = numbers(sigma, "sigma", ShapeError)
     if values.shape != (robot.n,) or not np.all((values > 0) & np.isfinite(values)):
         raise ShapeError(
-            f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Pass one per joint."
+            f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Pass one value per joint."
         )
     return values
 
@@ -464,7 +464,7 @@ SHORTEST = 0.1  # s, shortest change of speed
 
 
 def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -> Trajectory:
-    """Design a motion of one joint at ten constant speeds in both directions; the others hold.
+    """Design a motion of one joint at ten constant speeds in both directions; the other joints hold their positions.
 
     Speeds are logarithmically spaced from 0.005 rad/s to 80 % of the limit. Each run has constant speed over ten ripple
     periods ``2 pi / (2 gear)`` and over at least 0.3 rad (50 mm). The joint rests for 2 s between runs. The fifth speed
@@ -528,7 +528,7 @@ def _number(robot: Robot, joint: int | str) -> int:
             raise UnknownName.among("joint", joint, names)
         return names.index(joint)
     if not isinstance(joint, int | np.integer) or isinstance(joint, bool) or not 0 <= joint < robot.n:
-        raise UnknownName(f"Expected a joint number from 0 to {robot.n - 1}, got {joint!r}. Count from 0.")
+        raise UnknownName(f"Expected a joint number from 0 to {robot.n - 1}, got {joint!r}. Number the joints from 0.")
     return int(joint)
 
 
@@ -556,7 +556,7 @@ def _speeds(robot: Robot, i: int) -> tuple[np.ndarray, float]:
 
 
 def _largest(ways: float, acceleration: float) -> float:
-    """Return the speed that can be reached and stopped within `ways`, or 0 if there is no room."""
+    """Return the highest speed that a joint can reach and stop from within `ways`, or 0 if there is no room."""
     return max(0.0, min(ways / SHORTEST, np.sqrt(max(ways, 0.0) * acceleration / STEEPEST)))
 
 

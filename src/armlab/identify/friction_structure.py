@@ -76,12 +76,12 @@ DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
 STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried in both directions after the grid
-FEWER = REFINEMENTS[::2]  # after the selection of terms, because Gauss-Newton steps follow
+FEWER = REFINEMENTS[::2]  # fewer factors after the selection of terms, because Gauss-Newton steps follow
 FOLDS = 4
 GAIN = 0.01  # share of the squared held-out error: terms with a smaller improvement are dropped
-DEFAULT_SPEED = 2  # index in STRIBECK_SPEEDS, for joints without that term
+DEFAULT_SPEED = 2  # index in STRIBECK_SPEEDS for joints without a Stribeck term
 IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term may depend on a single event
-EXACT = 1e-12  # squared error relative to the torque, below which it is rounding
+EXACT = 1e-12  # squared error relative to the torque, below which the error is rounding
 # All columns of a joint, in order: terms of FRICTION_TERMS, then ripple with known gears.
 FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "load")
 COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
@@ -207,7 +207,7 @@ class _StructureSearch:
 
 
 def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return the squared error (S, k) of each fold with the parameters of the other folds, relative to the torque.
+    """Return the squared error (S, k) of each fold for parameters fitted to the other folds, relative to the torque.
 
     `sums`: A^T A, A^T y and y^T y for each of F folds. `picks`: (S, w) columns of A for each Stribeck speed.
     """
@@ -252,7 +252,7 @@ def choose(choice: StructureChoice) -> FrictionStructure:
     structure = _of_grid(search) if choice.start is None else choice.start
     errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
-    # on the grid, a term may compensate for a width between two points
+    # on the grid, a term may compensate for a width between two grid points
     structure = replace(structure, terms=TERMS[[simplest]])
     return _refine(search, structure, errors[simplest], FEWER)
 

@@ -34,7 +34,7 @@ from armlab.models.torque import Training
 from armlab.robots import Robot
 
 SAME_RATE = 1.1
-FEWEST_BLOCKS = 60  # in total, for a covariance
+FEWEST_BLOCKS = 60  # minimum number of blocks in all logs, for a covariance
 BIN = 1e-9  # relative margin on the block length
 
 
@@ -197,7 +197,7 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
     factors = Factors(parts[0].size, parts[0].columns, R, np.concatenate([one.rows for one in parts]))
     if len(factors.rows) < 8:
         raise NotExcited(
-            f"Expected logs of at least 8 segments for a covariance, got {len(factors.rows)}. Record more.",
+            f"Expected logs of at least 8 segments for a covariance, got {len(factors.rows)}. Record longer logs.",
             ["covariance"],
             [f"{len(factors.rows)} segments"],
         )

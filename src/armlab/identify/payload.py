@@ -4,8 +4,8 @@
 
 Y contains the columns of the last link, moved to the flange, including load friction. pi contains the mass, the first
 moment and, in mode "dynamic", the inertia. Huber's least squares for pi alone gives the weights of rows and joints;
-Gauss-Newton steps then give pi and the gains g_i. Both run twice, because weights computed without gains treat gain
-errors as outliers. Theory: docs/theory/payload.md.
+Gauss-Newton steps then give pi and the gains g_i. Both steps run twice, because weights computed without gains treat
+gain errors as outliers. Theory: docs/theory/payload.md.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def _at_flange(data: Record, robot: Robot) -> np.ndarray:
 
 
 def _shift(data: Record, other: Record) -> int:
-    """Return the lag (rows) of the record without the load behind the record with it; raise if the motions differ."""
+    """Return the lag (rows) of the record without the load behind the other record; raise if the motions differ."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
             f"Expected one log with the load and one without it, with equal rates and without gaps, got "
@@ -246,8 +246,8 @@ def _shift(data: Record, other: Record) -> int:
     if (last - first) / data.rate < MIN_SECONDS or apart.max() > APART:
         raise ShapeError(
             f"Expected the same motion with and without the load for at least {MIN_SECONDS:g} s, got "
-            f"{(last - first) / data.rate:.1f} s in which joint {int(apart.argmax()) + 1} is {apart.max():.2g} apart "
-            f"(RMS). Run the same motion twice, or omit the log without the load."
+            f"{(last - first) / data.rate:.1f} s, in which joint {int(apart.argmax()) + 1} differs by "
+            f"{apart.max():.2g} (RMS). Run the same motion twice, or omit the log without the load."
         )
     return shift
 
@@ -444,7 +444,8 @@ def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple
         return said, ()
     return said, (
         f"{robot.joint_names[record.joints[worst]]} has {more[worst]:.1f} times its residual without a load, "
-        f"and the load explains only {100 * share:.0f} % of all: there may be a load elsewhere or a contact in the log",
+        f"and the load explains only {100 * share:.0f} % of the total: "
+        "there may be a load elsewhere or a contact in the log",
     )
 
 
@@ -454,7 +455,7 @@ def _notes(
     """Return the notes of a report."""
     notes = []
     if not np.array_equal(free, theta):
-        notes.append(f"at a bound (m >= 0, centre within {FARTHEST} m); without the bound m = {free[0]:.4g} kg")
+        notes.append(f"load at a bound (m >= 0, centre within {FARTHEST} m); without bounds, m = {free[0]:.4g} kg")
     if len(theta) == 10 and inertia.principal_moments(load.pi).min() < -3.0 * sd[4:].max():
         notes.append(
             "the inertia is not physically consistent; identify.physically_consistent_load returns the nearest "

@@ -3,7 +3,8 @@
 Friction dissipates power: if the coarse regression of a joint finds that friction supplies power, the sign of the
 torque is reversed. With masses in the robot file, the torque of a joint is compared with the torque that these masses
 require, ``tau_i = k_i r_i(q, qd, qdd) + rotor qdd + friction + offset``. Otherwise the joints are compared with each
-other: each one measures k_i times the torque of shared links (`identify.solve.GainProblem`, with an almost flat prior).
+other: each joint measures k_i times the torque of shared links (`identify.solve.GainProblem`, with an almost flat
+prior).
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def check_factors(factors: np.ndarray, sd: np.ndarray, robot: Robot, masses: boo
     reference = common if shared or not masses else 1.0
     said, worst = [], common if shared else 1.0
     if shared:
-        said.append(f"torques are {common:.2g} of the torque that these masses require: {_unit(common, robot, known)}")
+        said.append(f"torques are {common:.2g} times those that these masses require: {_unit(common, robot, known)}")
     for i in np.flatnonzero(known):
         own = float(factors[i]) / reference
         off = own < 0 or abs(np.log(own)) > np.log(DOUBTED) + SURE * sd[i] / abs(factors[i])
@@ -113,7 +114,7 @@ def _named(i: int | np.intp, own: float, robot: Robot, what: str) -> str:
         if abs(np.log(abs(own) / factor)) < 0.15 and own > 0:
             return f"joint {i + 1} reads {word} the torque that {what}"
     hint = "" if 1.0 / REFUSED < own < REFUSED else f": {_unit(own, robot, np.arange(len(robot.joint_names)) == i)}"
-    return f"joint {i + 1} reads {own:.2g} of the torque that {what}{hint}"
+    return f"joint {i + 1} reads {own:.2g} times the torque that {what}{hint}"
 
 
 def _unit(factor: float, robot: Robot, joints: np.ndarray) -> str:
@@ -129,7 +130,7 @@ def _unit(factor: float, robot: Robot, joints: np.ndarray) -> str:
 
 
 def raise_unless(force: bool, said: list[str], fault: bool) -> tuple[str, ...]:
-    """Return doubts; raise on errors unless forced."""
+    """Return doubts; for errors, raise an exception unless forced."""
     if fault and not force:
         raise ShapeError(
             f"Expected torque on the joint side in N m, got: {'; '.join(said)}. Correct the columns or the masses in "
@@ -139,7 +140,7 @@ def raise_unless(force: bool, said: list[str], fault: bool) -> tuple[str, ...]:
 
 
 def check_torques(data: Record, robot: Robot, used: np.ndarray, force: bool) -> tuple[str, ...]:
-    """Return doubts about the torques of the selected joints (n,); raise on a wrong sign or unit."""
+    """Return doubts about the torques of the selected joints (n,); raise an error for a wrong sign or unit."""
     survey = Survey.of(data, robot)
     signs = check_signs(survey, used)
     if signs:
@@ -149,6 +150,6 @@ def check_torques(data: Record, robot: Robot, used: np.ndarray, force: bool) -> 
 
 
 def check_gains(design: Design, method: str, force: bool) -> tuple[str, ...]:
-    """Return doubts about the relative gains of the joints; raise on factors above three."""
+    """Return doubts about the relative gains of the joints; raise an error for factors above three."""
     said, fault = check_factors(*loose_gains(design, method), design.robot, masses=False)
     return raise_unless(force, said, fault)

@@ -17,17 +17,17 @@ from armlab.models import TorqueModel
 from armlab.models.torque import Training
 from armlab.signals import central_diff, lowpass_offline
 
-# Extrapolation: positions, speeds and rest outside the training data.
+# Extrapolation: positions, speeds and standstill outside the training data.
 #
-# Held-out errors hold only for data like the training data. For each joint, the samples outside the trained
-# positions and speeds are counted. For the arm as a whole, the share of rest is compared, because friction at rest is
+# Held-out errors are valid only for data similar to the training data. For each joint, the samples outside the trained
+# positions and speeds are counted. For the arm as a whole, the share of standstill is compared: friction at rest is
 # only bounded, and a model trained in motion does not predict it.
 
 
 BESIDE = 0.02  # tolerance relative to the trained position range
 RARE = 0.005  # share of training data below which a speed bin is untrained
 ALLOWED = 0.05  # share of samples outside that causes no warning
-MORE, LONGER = 3.0, 2.0  # ratios of the share and length of rest to the training data
+MORE, LONGER = 3.0, 2.0  # ratios of the share and duration of standstill to those of the training data
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,13 +43,13 @@ class Extrapolation(Shown):
     unseen_speed : array, shape (n,)
         Share of samples at speeds with less than 0.5 % of the training data.
     rest_share : float
-        Share of rest in this log.
+        Share of samples at rest in this log.
     longest_rest : float, s
-        Longest rest in this log.
+        Longest standstill in this log.
     trained_rest_share : float
-        Share of rest in the training data.
+        Share of samples at rest in the training data.
     trained_longest_rest : float, s
-        Longest rest in the training data.
+        Longest standstill in the training data.
     warnings : tuple of str
         Warnings as sentences; empty if the model is valid for this log.
     """
@@ -64,7 +64,7 @@ class Extrapolation(Shown):
     warnings: tuple[str, ...]
 
     def text(self) -> str:
-        """Return a table per joint, a line about rest, and the warnings."""
+        """Return a table with a row per joint, a line about standstill, and the warnings."""
         width = max(map(len, self.joint_names))
         lines = [f"{'joint':>{width}}  position outside  untrained speed"]
         for name, outside, unseen in zip(self.joint_names, self.outside, self.unseen_speed):
@@ -80,7 +80,7 @@ def extrapolation(model: TorqueModel | Fit[TorqueModel], table: Table) -> Extrap
     """Compare a log with the training data of `model`.
 
     Warns about joints with more than 5 % of the samples outside the trained positions or speeds. Also warns if the
-    share of rest is three times that of the training data and the longest rest is twice as long.
+    share of standstill is three times that of the training data and the longest standstill is twice as long.
 
     Parameters
     ----------
@@ -128,9 +128,9 @@ def _warnings(
             )
     if rest[0] > MORE * known.rest_share and rest[1] > LONGER * known.longest_rest:
         found.append(
-            f"Expected as little rest as in training ({100 * known.rest_share:.0f} %, longest "
+            f"Expected as little standstill as in training ({100 * known.rest_share:.0f} %, longest "
             f"{known.longest_rest:.2f} s), got {100 * rest[0]:.0f} %, longest {rest[1]:.2f} s: at rest, friction is "
-            "only bounded. Assess the model only in motion, or include rest in the training data."
+            "only bounded. Assess the model only in motion, or include standstill in the training data."
         )
     return tuple(found)
 
@@ -138,9 +138,9 @@ def _warnings(
 def predict(model: TorqueModel | Fit[TorqueModel], table: Table) -> Table:
     """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured torque, modelled torque and its SD.
 
-    Measured and modelled torque are low-passed with zero phase at the model's cut-off, for which its covariance holds.
-    After a stop, tau_sigma includes the possible static friction, as in the estimator. Extrapolation is reported in the
-    notes of the result.
+    Measured and modelled torque are low-passed with zero phase at the model's cut-off, for which the model covariance
+    is valid. After a stop, tau_sigma includes the possible static friction, as in the estimator. Extrapolation is
+    reported in the notes of the result.
 
     Parameters
     ----------

@@ -26,13 +26,13 @@ SLOW_SHARE = 0.25  # share of the sampling rate: a faster ripple line aliases
 
 
 def check_rate(period: float) -> None:
-    """Raise if the sampling rate is below `MIN_RATE`, which is too low to identify friction."""
+    """Raise an error if the sampling rate is below `MIN_RATE`, which is too low to identify friction."""
     rate = 1.0 / period
     if rate < MIN_RATE * (1.0 - 1e-6):
         hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
         raise ShapeError(
             f"Expected a log of at least {MIN_RATE:g} Hz, got {rate:.4g} Hz: at a joint reversal, friction changes "
-            f"within one sample.{hint} Record faster; resampling does not help."
+            f"within one sample.{hint} Record at a higher rate; resampling does not help."
         )
 
 
@@ -127,7 +127,8 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     ----------
     table : one or several logs, each with columns q, tau of `robot`; without qd, the derivative of q is used.
     robot : the recorded arm.
-    joints : joints whose torque will be fitted, from 0; only these must move and have a valid torque. Default: all.
+    joints : numbers, from 0, of the joints whose torque is fitted; only these joints must move and have a valid torque.
+        Default: all.
 
     Raises
     ------
@@ -195,7 +196,7 @@ def _joined(tables: list[Table], robot: Robot) -> Record:
 
 
 def _tables(table: Table | Sequence[Table]) -> list[Table]:
-    """Return one or several logs as a list; raise on other types."""
+    """Return one or several logs as a list; raise an error for other types."""
     tables: list[Any] = list(table) if isinstance(table, (list, tuple)) else [table]
     if not tables:
         raise ShapeError("Expected at least one log, got an empty list. Pass the log of an excitation trajectory.")
@@ -260,7 +261,7 @@ def _corner(q: np.ndarray, rate: float) -> float:
 
 
 def pieces(t: np.ndarray) -> list[tuple[int, int]]:
-    """Return (start, stop) of the segments of at least 100 rows without a gap; raise if there is none."""
+    """Return (start, stop) of the segments of at least 100 rows without a gap; raise an error if there is none."""
     found = _pieces(t)
     if not found:
         raise _in_pieces(_edges(t))
@@ -338,7 +339,7 @@ def check_finite(
     advice: str = "Drop them with table.dropna. If torques are missing, record with the research extension; a "
     "simulated arm sends torques if its description has masses.",
 ) -> None:
-    """Raise on missing values in columns (N, n), listing the rows."""
+    """Raise an error for missing values in columns (N, n), listing the rows."""
     bad = np.flatnonzero(~np.all([np.isfinite(values).all(axis=1) for values in columns], axis=0))
     if len(bad):
         raise ShapeError(
@@ -357,14 +358,14 @@ def _common_rate(rates: list[float]) -> float:
 
 
 def _resolution(q: np.ndarray) -> np.ndarray:
-    """Return half the smallest non-zero step of each joint (n,) [rad], the play of the presliding state."""
+    """Return half the smallest non-zero step of each joint (n,) [rad]: the dead band of the presliding state."""
     steps = np.abs(np.diff(q, axis=0))
     smallest = np.where(steps > 1e-12, steps, np.inf).min(axis=0)
     return np.where(np.isfinite(smallest), 0.5 * smallest, 0.0)
 
 
 def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
-    """Raise if a fitted joint (n,) hardly moves."""
+    """Raise an error if a fitted joint (n,) hardly moves."""
     if not still.any():
         return
     names = [robot.joint_names[i] for i in np.flatnonzero(still)]
@@ -504,7 +505,7 @@ def delay_text(name: str, late: Delay) -> str:
     side = "late" if late.seconds > 0 else "early"
     return (
         f"{what} is {1e3 * abs(late.seconds):.1f} +- {1e3 * late.sd:.1f} ms {side} relative to the positions: "
-        "this is corrected in the fit, but not in estimators; correct it in the recording"
+        "the fit corrects this delay, but estimators do not; correct it in the recording"
     )
 
 

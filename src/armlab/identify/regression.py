@@ -145,15 +145,15 @@ class RegressionColumns:
         fast = [self.robot.joint_names[joint] for joint, seen in zip(self.joints, share) if seen < SEEN]
         if fast:
             warnings.warn(
-                f"Expected torque ripple below {data.rate / 4.0:.3g} Hz, a quarter of the sampling rate, in half of "
-                f"the samples at least, got faster ripple for {', '.join(fast)}: it aliases, so no ripple is fitted. "
+                f"Expected torque ripple below {data.rate / 4.0:.3g} Hz, a quarter of the sampling rate, in at least "
+                f"half of the samples, got faster ripple for {', '.join(fast)}: it aliases, so no ripple is fitted. "
                 "Record slower motion, such as identify.friction_run, or sample faster.",
                 stacklevel=3,
             )
         return not fast
 
 
-# Layout of the parameters of `fit_dynamics`: base, then each joint's own, then those of coupled motors.
+# Layout of the parameters of `fit_dynamics`: base parameters, then those of each joint, then coupled motors.
 
 
 COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a motor that drives several joints
@@ -295,7 +295,7 @@ class Design(RegressionColumns):
     parallel rod, it acts as link inertia. `gains`: (J,) ratio of measured to true torque. `tau`: (M, J) filtered torque
     divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters. `fixed`: (M, J, 2 or 4) linear
     columns: viscous, offset, and ripple with known gears. `coupled_motors`: (M, K, 3) filtered acceleration, velocity
-    and sign of the coupled motors. `free`: (J, 2) bool, which of `FrictionStructure.numbers` have a column. This
+    and sign of the coupled motors. `free`: (J, 2) bool, which of `FrictionStructure.numbers` have a column. This column
     is the torque derivative with respect to the logarithm of the number, at the parameters passed to `with_slopes`.
     `local`: for each joint (M, k), its own columns, with derivatives last, then the columns of the motors that drive
     it.

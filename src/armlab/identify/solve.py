@@ -219,7 +219,7 @@ def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolut
 BANDS = (12.0, 6.0)  # Hz, alternative cut-offs
 YARDSTICK = 10.0  # Hz, the band of the comparison
 PARTS = 1.0  # s, segments fitted and judged alternately
-NEARLY = 1.02  # ratio to the least residual within which the highest cut-off wins
+NEARLY = 1.02  # ratio to the smallest residual within which the highest cut-off is selected
 
 
 def best_cutoff(design: Design, method: str) -> tuple[float, str]:
@@ -330,7 +330,7 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
 
 
 DRIFTS = ("friction", "offset")  # scale of all friction of a joint; constant torque
-AHEAD = np.array([4.0, 2.0])  # variance between logs over that between halves: of a trend, of a random walk
+AHEAD = np.array([4.0, 2.0])  # ratio of variances between logs and between halves: for a trend, for a random walk
 POOLING = 30  # iterations of the pooled variance
 RIDGE = 1e-6  # share of a column's power, in case half of the log does not determine a drift
 
@@ -338,9 +338,9 @@ RIDGE = 1e-6  # share of a column's power, in case half of the log does not dete
 def covariance(
     design: Design, solution: LinearSolution, length: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariance (p, p) for known gains, that of the drift of the next log, and its torque variance (J,).
+    """Return the covariance (p, p) for known gains, the covariance of the drift, and the torque variance (J,) of drift.
 
-    `length` blocks form a segment. The torque variance is that between this log and the next.
+    `length` blocks form a segment. Drift and its torque variance refer to the change between this log and the next.
     """
     drift, leaked, torque, steady = _without_drift(design, solution, length)
     drawn = block_bootstrap(BlockSums.of(steady), seed=seed, length=length).cov
@@ -350,11 +350,11 @@ def covariance(
 def _without_drift(
     design: Design, solution: LinearSolution, length: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, LinearSolution]:
-    """Return the covariances (p, p) of the drift and of its leakage, its torque variance, and the solution without."""
+    """Return the covariances (p, p) of drift and its leakage, the torque variance of drift and a driftless solution."""
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
-    for _ in range(POOLING):  # a joint without friction has no variance, and no say
+    for _ in range(POOLING):  # a joint without friction has no variance, and is ignored
         weight = np.divide(1.0, (variance + pooled) ** 2, out=np.zeros_like(variance), where=variance > 0)
         excess = np.sum(weight * (difference**2 - variance), axis=0)
         pooled = np.maximum(excess / np.maximum(weight.sum(axis=0), 1e-300), 0.0)
@@ -407,7 +407,7 @@ def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tu
 
 
 def _directions(design: Design, x: np.ndarray, i: int) -> np.ndarray:
-    """Return the changes (w, 2) of a joint's parameters by twice the friction, and by a unit offset."""
+    """Return the changes (w, 2) of a joint's parameters for doubled friction, and for a unit offset."""
     columns, width = design.layout.columns[i], design.rigid[i].shape[1]
     D = np.zeros((len(columns), len(DRIFTS)))
     for k, term in enumerate(design.terms[i], width):

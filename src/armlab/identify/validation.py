@@ -25,7 +25,7 @@ FIFTHS, STRETCHES = 5, 20
 SETTLED = 0.01  # variance of the presliding state below which friction is known
 NOTHING = 1e-18  # (N m)^2
 ALPHA2_BOUNDS = (0.25, 25.0)
-REST = 0.01  # share of the peak speed; the arm rests if all joints are below it
+REST = 0.01  # share of the peak speed; the arm is at rest if all joints are slower
 HALF = 1.0  # s, segments of the two halves for the coverage
 UNMEASURED = 1e12  # (N m)^2, variance of an unmeasured torque
 FEWEST = 100  # sliding rows in each half
@@ -86,7 +86,8 @@ def assess(
     earlier model `before` is given, joints at rest keep its figures.
 
     The estimator adds the torque variance of the parameters beyond its mean over this record. Held-out errors contain
-    this part, so the covariance is fitted to errors divided by ``sqrt(1 + r)``, with r its ratio to their square.
+    this part, so the covariance is fitted to errors divided by ``sqrt(1 + r)``, with r the ratio of
+    this variance to the squared errors.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -160,7 +161,7 @@ def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> T
 
 
 def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Record) -> TorqueModel:
-    """Return a model with terms added to an earlier one, and with its own torque covariance and quality figures.
+    """Return a model with terms added to an earlier model, and with a new torque covariance and quality figures.
 
     If `before` was identified from one of these logs, its parameters were fitted to rows that are held out in `folds`.
     The loss of `before` on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
@@ -184,7 +185,7 @@ def fold_of(data: Record) -> np.ndarray:
 
 
 def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
-    """Raise on joints that rarely slide: fewer than 100 rows in either half of the log."""
+    """Raise an error for joints that rarely slide: fewer than 100 rows in either half of the log."""
     few = np.flatnonzero(measured & (rows < FEWEST))
     if len(few):
         names = [f"joint {i + 1}" for i in few]
@@ -340,7 +341,7 @@ def _check_residuals(residuals: np.ndarray, qd: np.ndarray) -> None:
         raise ShapeError(f"Expected residuals and qd of the same shape (N, n), got {residuals.shape} and {qd.shape}.")
     check_finite("residuals and qd", residuals, qd, advice="Drop these rows.")
     if len(residuals) < 100:
-        raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record for longer.", ["everything"])
+        raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record a longer log.", ["everything"])
     silent = np.flatnonzero(~residuals.any(axis=0))
     if len(silent):
         joints = [f"joint {i + 1}" for i in silent]
@@ -583,7 +584,7 @@ def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str
         )
     widths = [max(map(len, column)) for column in zip(header, units, *rows)]
     lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths)) for row in (header, units, *rows)]
-    lines += ["torque in N m, friction in N m and N m s/rad (prismatic joints: N and m); sign: its distance or speed"]
+    lines += ["torque in N m, friction in N m and N m s/rad (prismatic joints: N and m); sign: distance or speed"]
     lines += [f"torque gain per joint (common scale factor not identifiable): {_gains(model, judged)}"]
     if solution is not None and solution.active:
         lines += [bound.text() for bound in solution.active]

@@ -47,8 +47,8 @@ def register(kind: str, cls: type) -> None:
     Parameters
     ----------
     kind : name of the format, written into the file; for example "hand_eye".
-    cls : its fields are numbers, strings, arrays, tuples and dicts of these, None, or other registered values. Its
-        constructor must accept its field values.
+    cls : class whose fields are numbers, strings, arrays, tuples and dicts of these, None, or other registered values.
+        Its constructor must accept its field values.
     """
     if not is_dataclass(cls) or _CLASSES.setdefault(kind, cls) is not cls:
         raise ConfigError(f"Expected a dataclass and a unique kind, got {cls.__name__} and {kind!r}.")
@@ -116,7 +116,7 @@ def _check_texts(value: Any, path: Path) -> None:
     texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
     for name, text in texts:
         if not isinstance(text, str):
-            raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Save the file again.")
+            raise ConfigError(f"Expected strings for {name} at {path}, got {text!r}. Save the file again.")
 
 
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
@@ -293,7 +293,9 @@ def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: P
     try:
         return {name: np.array([tables[f"joint{i + 1}"][name] for i in range(len(tables))]) for name in names}
     except KeyError as error:
-        raise ConfigError(f"Expected {error} for every joint in {path}, but it is missing. Identify again.") from None
+        raise ConfigError(
+            f"Expected {error} for every joint in {path}, but it is missing. Identify the model again."
+        ) from None
 
 
 def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
@@ -305,7 +307,7 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
             f"Expected kind, format and sign {(KIND, TORQUE_FORMAT, SIGN)} in {path}, got {found}. "
             "Repeat the identification with this version of armlab."
         )
-    with _readable(f"a complete model file at {path}", "Identify again."):
+    with _readable(f"a complete model file at {path}", "Identify the model again."):
         return _model(msgspec.convert(raw, _ModelFile), path)
 
 
@@ -314,7 +316,7 @@ def _model(file: Any, path: Path) -> TorqueModel:
     p = len(d.base_names)
     if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
         raise ConfigError(
-            f"Expected {p} base values with covariance in {path}, got arrays of other lengths. Identify again."
+            f"Expected {p} base values with covariance in {path}, got other array lengths. Identify the model again."
         )
     cov = np.zeros((p, p))
     cov[np.tril_indices(p)] = d.base_cov_lower
@@ -345,7 +347,7 @@ def save(
 
     Parameters
     ----------
-    value : a `TorqueModel`, an instance of a registered class, or a fit of one, saved with its statistics as by
+    value : a `TorqueModel`, an instance of a registered class, or a fit of either, saved with its statistics as by
         `Fit.save`.
     path : file name ending in ``.toml``.
     statistics : statistics of the fit, written to the table [fit].

@@ -13,7 +13,7 @@ within a step::
 
     z_k = s + (z_{k-1} - s) exp(-|dq_k| / delta),   s = sign(dq_k)
 
-Unlike a sign function, it keeps its value at rest.
+Unlike a sign function, the state keeps its value at rest.
 """
 
 from __future__ import annotations
@@ -156,11 +156,11 @@ class Friction(Shown):
     def __post_init__(self) -> None:
         _freeze(self)
         if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
-            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value <= 0. Make it positive.")
+            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value <= 0. Pass positive values.")
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
-            raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Make it positive.")
+            raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Pass values >= 0.")
         if np.any(self.load < 0) or np.any(self.load >= 1):
-            raise ShapeError(f"Expected load friction from 0 to below 1, got {self.load.tolist()}. Pass it as a share.")
+            raise ShapeError(f"Expected load friction from 0 to below 1, got {self.load.tolist()}. Pass the share.")
 
     @classmethod
     def none(cls, n: int) -> Friction:
@@ -211,7 +211,7 @@ class FrictionBound(Shown):
         _freeze(self)
         if np.any(self.torque < 0) or np.any(self.floor < 0) or np.any(self.speed <= 0):
             raise ShapeError(
-                "Expected torque >= 0, floor >= 0 and speed > 0 for a friction bound, got other values. Correct it."
+                "Expected torque >= 0, floor >= 0 and speed > 0 in a friction bound, got other values. Correct them."
             )
 
     @classmethod

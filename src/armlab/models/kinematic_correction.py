@@ -194,7 +194,7 @@ class DualArmCorrection(Shown):
     Attributes
     ----------
     arm_a, arm_b : the corrected arms.
-    T_basea_baseb : (4, 4) base of b in the base of a.
+    T_basea_baseb : (4, 4) pose of the base of b in the base of a.
     cov : (d, d) joint covariance of the parameters of arm a, those of arm b, and the twist [v; w] of T_basea_baseb in
         its own axes.
     sources : SHA-256 and name of each log.

@@ -63,7 +63,7 @@ class VelocityCovariance(Shown):
             values = still(getattr(self, name), f"{name} of a covariance")
             object.__setattr__(self, name, values)
             if not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct it.")
+                raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct the values.")
         if np.any(self.shape < 0) or not 0 < self.alpha2 < np.inf:
             raise ShapeError(
                 "Expected a decay rate or threshold of at least zero and a finite alpha2 above zero, got other values "
@@ -96,7 +96,7 @@ def velocity_covariance(
     Parameters
     ----------
     kind : "exp", "step" or "const".
-    C0, Cinf : (n,) variance at rest and at speed [(N m)^2].
+    C0, Cinf : (n,) variance at rest and at high speed [(N m)^2].
     shape : (n,) decay rate [s/rad] or threshold [rad/s]; not used by "const".
     alpha2 : common factor.
 
@@ -178,12 +178,12 @@ class ParameterCovariance:
         mean, P = still(self.mean, "torque variances"), columns.size
         if not np.all((mean >= 0) & (mean < np.inf)) or mean.ndim != 1:
             raise ShapeError(
-                "Expected finite torque variances of at least 0, one per joint, got others. Identify again."
+                "Expected finite torque variances >= 0, one per joint, got other values. Identify the model again."
             )
         if columns.shape != (P,) or lower.shape != (P * (P + 1) // 2,) or not np.isfinite(lower).all():
             raise ShapeError(
                 f"Expected P columns and P (P + 1) / 2 finite numbers of their covariance, got shapes {columns.shape} "
-                f"and {lower.shape}. Identify again."
+                f"and {lower.shape}. Identify the model again."
             )
         object.__setattr__(self, "columns", columns)
         object.__setattr__(self, "lower", lower)
@@ -197,7 +197,7 @@ class ParameterCovariance:
         return half + np.tril(half, -1).T
 
     def kernel_rows(self, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale` is that of links."""
+        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale` multiplies links."""
         n = len(self.mean)
         columns, cov = self.columns.astype(int), self.cov
         weight = np.where(columns < 10 * n, scale, 1.0)
@@ -242,7 +242,7 @@ class CoupledMotors:
         shapes = dict.fromkeys(("inertia", "viscous", "coulomb", "smooth_speed"), (len(ratios),))
         freeze_arrays(self, f"{len(ratios)} coupled motors", {"ratios": ratios.shape, **shapes})
         if np.any(self.smooth_speed <= 0):
-            raise ShapeError("Expected smooth_speed > 0 for coupled motors, got a value <= 0. Make it positive.")
+            raise ShapeError("Expected smooth_speed > 0 for coupled motors, got a value <= 0. Pass positive values.")
 
     def torque(self, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Return the joint torque (..., n) [N m] required by the motors at a velocity and acceleration."""
@@ -338,7 +338,7 @@ class Quality(Shown):
         for name in ("torque_sd", "rms", "rms_cv", "coverage"):
             values = still(getattr(self, name), f"{name} of the quality")
             if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
-                raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Identify again.")
+                raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Repeat the fit.")
             object.__setattr__(self, name, values)
 
 
@@ -352,7 +352,7 @@ SPEED_EDGES.flags.writeable = False
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """Ranges of the training data of a model; its quality figures hold only inside these ranges.
+    """Ranges of the training data of a model; its quality figures are valid only inside these ranges.
 
     `q_min`, `q_max`: (n,) range of position [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n, 12) share
     of samples per bin of `SPEED_EDGES`: six for negative velocities, then six for positive velocities, slowest first.
@@ -374,7 +374,7 @@ class Training:
         if not (0.0 <= self.rest_share <= 1.0 and 0.0 <= self.longest_rest < np.inf):
             raise ShapeError(
                 f"Expected a rest share from 0 to 1 and a duration of at least 0 s, got {self.rest_share:g} and "
-                f"{self.longest_rest:g} s. Identify again."
+                f"{self.longest_rest:g} s. Identify the model again."
             )
 
 
@@ -388,7 +388,7 @@ class TorqueModel(Shown):
 
     Attributes
     ----------
-    robot_name, robot_hash : the robot of the model; `check_robot` rejects any other.
+    robot_name, robot_hash : the robot of the model; `check_robot` rejects any other robot.
     frames, prismatic, gravity : kinematics (n + 1, 4, 4), (n,), and gravity (3,) [m/s^2] in base axes.
     link_parameters : (n, 10) in link frames, order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
     rotor : (n,) rotor inertia [kg m^2].
@@ -408,7 +408,7 @@ class TorqueModel(Shown):
     coupled : motors that move several joints, or None.
     parameters : covariance of all parameters, which widens the torque covariance outside the identified motion; or
         None.
-    quasi_static : True for gravity, friction and offset alone, without torques from link velocities or accelerations.
+    quasi_static : True for only gravity, friction and offset, without torques from link velocities or accelerations.
     """
 
     robot_name: str
@@ -460,7 +460,7 @@ class TorqueModel(Shown):
             values.flags.writeable = False
             object.__setattr__(self, name, values)
         if np.any(self.gains <= 0):
-            raise ShapeError(f"Expected gains above 0, got {self.gains.tolist()}. Identify again.")
+            raise ShapeError(f"Expected gains above 0, got {self.gains.tolist()}. Identify the model again.")
         if self.momentum is not None and len(self.momentum.memory) != n:
             raise ShapeError(f"Expected momentum noise for {n} joints, got {len(self.momentum.memory)}.")
         if self.coupled is not None and self.coupled.ratios.shape[1] != n:
@@ -476,7 +476,7 @@ class TorqueModel(Shown):
         columns = known.columns
         inside = (columns >= 0) & (columns < (11 + OF_FRICTION) * n) & (columns == np.floor(columns))
         if len(known.mean) != n or not inside.all():
-            raise ShapeError(f"Expected parameters among those of {n} joints, got other columns. Identify again.")
+            raise ShapeError(f"Expected parameters among those of {n} joints, got other columns. Repeat the fit.")
         _ = self.drive  # rejects terms with a different number of joints
 
     def _repr_html_(self) -> str:
@@ -694,7 +694,7 @@ class TorqueModel(Shown):
     def contact_doubt(self) -> np.ndarray:
         """Relative standard deviation (n,) of a contact torque due to gains (without their mean) and load friction.
 
-        The residuals of the arm's own torque already include both.
+        The residuals of the arm's own torque already include both uncertainties.
         """
         uncertain = (np.diag(self.gain_cov) > 0).astype(float)
         apart = np.diag(uncertain) - np.outer(uncertain, uncertain) / max(uncertain.sum(), 1.0)
@@ -702,7 +702,7 @@ class TorqueModel(Shown):
 
     @property
     def _parameter_rows(self) -> tuple[np.ndarray, ...]:
-        """Return what kernels expect of the covariance of the parameters; nothing for exact parameters."""
+        """Return the parameter covariance as the kernels expect it; empty for exact parameters."""
         if self.parameters is None:
             return ()
         return self.parameters.kernel_rows(WEIGHTLESS if self.quasi_static else 1.0)

@@ -63,7 +63,7 @@ def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int =
     if len(still):
         names = [f"joint {i + 1}" for i in still]
         raise NotExcited(
-            f"Expected every joint to move, but {', '.join(names)} rest. Record a motion of all joints.",
+            f"Expected every joint to move, got no motion of {', '.join(names)}. Record a motion of all joints.",
             names,
             ["rest"] * len(names),
         )
@@ -114,7 +114,7 @@ SHORTEST = 0.5  # s, shortest block
 MOST_OF = 20  # minimum number of blocks
 ROWS = 20000  # rows per joint: longer records are decimated
 SPEEDS = 8
-HIGHEST = 1.25  # times the ripple line of the model at twice the gear ratio
+HIGHEST = 1.25  # highest line of the search, relative to the model's ripple line at twice the gear ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class _DrivePart:
 
 @dataclass(frozen=True, eq=False)
 class _JointRows:
-    """Decimated rows of one joint, with the index of their half second and of their fifth."""
+    """Decimated rows of one joint; for each row, the index of its half second and of its fifth of the log."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -155,18 +155,18 @@ class _JointRows:
         return _JointRows(*parts, self.rate, self.step)
 
     def blocks(self, left: np.ndarray) -> np.ndarray:
-        """Return at least 20 block numbers (M,); blocks exceed the autocorrelation of the residuals (M,)."""
+        """Return the block number (M,) of each row, for at least 20 blocks longer than the residual autocorrelation."""
         count = int(np.ceil(block_seconds(left[:, None], self.step) / SHORTEST))
         return self.half // max(1, min(count, (int(self.half[-1]) + 1) // MOST_OF))
 
     def refit(
         self, A: np.ndarray, y: np.ndarray, ridge: float, slopes: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return coefficients and covariance; the blocks follow from the autocorrelation of the residuals, not of y."""
+        """Return coefficients and covariance; block lengths follow from the autocorrelation of residuals, not of y."""
         return refit(A, y, self.blocks(y - A @ ridge_solution(A, y, ridge)[0]), ridge, slopes)
 
     def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
-        """Return coefficients (5, p) fitted without each fifth, from residuals `others` (5, M) of models without it."""
+        """Fit coefficients (5, p) without each fifth to `others` (5, M), the residuals of models without that fifth."""
         used = [self.fifth != number for number in range(FIFTHS)]
         return np.array([ridge_solution(A[use], y[use], ridge)[0] for use, y in zip(used, others)])
 
@@ -243,7 +243,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[Torque
 
 
 def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
-    """Return the highest line (n,) to search for each joint; warn of aliasing above it."""
+    """Return the highest line (n,) to search for each joint; warn of aliasing above this line."""
     wanted = HIGHEST * model.ripple.cycles
     seen = np.array([highest_seen(column, rate) for column in qd.T])
     hidden = np.flatnonzero(seen < wanted)
@@ -262,7 +262,7 @@ def _ripple(
 ) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
     """Return the selected lines of one joint with their coefficients and their Gaussians in speed.
 
-    Lines are selected in `clean`, the residual of friction over position, and fitted to the rows in which all of them
+    Lines are selected in `clean`, the residual of friction over position, and fitted to the rows in which all lines
     are slow; this limits the range of the Gaussians.
     """
     cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))

@@ -1,8 +1,9 @@
 """Search and fit of torque ripple lines in the residuals of one joint (law: models.friction.RippleLines).
 
-Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among them; finally, a line
-is kept if removing it increases the held-out error by more than 2 %. A line has the frequency c |qd| / (2 pi); only
-samples in which this is below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
+Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among these peaks.
+Finally, a line is kept if removing it increases the held-out error by more than 2 %. A line has the frequency
+c |qd| / (2 pi). Only samples in which this frequency is below a quarter of the sampling rate are used.
+Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ CHUNK = 2**22  # numbers in memory at once
 
 @dataclass(frozen=True, eq=False)
 class _LineSearch:
-    """Rows of one joint; `slow` masks those slow enough for a line."""
+    """Rows of one joint; `slow` marks the rows that are slow enough for a line."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -128,8 +129,8 @@ def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
     """Warn that ripple lines alias and are not searched for."""
     listed = ", ".join(f"{name} (above {c:.0f} cycles/rev)" for name, c in seen.items())
     warnings.warn(
-        f"Expected torque ripple below {SLOW_SHARE * rate:.3g} Hz, a quarter of the sampling rate, in half of the "
-        f"samples at least, got faster ripple for {listed}: it aliases and is not searched for. Log slower motion, "
+        f"Expected torque ripple below {SLOW_SHARE * rate:.3g} Hz, a quarter of the sampling rate, in at least "
+        f"half of the samples, got faster ripple for {listed}: it aliases and is not searched for. Log slower motion, "
         "such as identify.friction_run, or sample faster.",
         stacklevel=3,
     )
@@ -209,7 +210,7 @@ def refine_lines(
 def _bent(
     q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns of lines, derivatives (N, L) of their best sum with respect to each, and the residual."""
+    """Return the columns of lines, derivatives (N, L) of their best-fitting sum for each line, and the residual."""
     A, slopes = _waves(q, amplitudes, cycles)
     x = ridge_solution(A, y, RIDGE)[0]
     shape = len(cycles), -1
@@ -226,7 +227,7 @@ def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[n
 
 
 def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
-    """Return the column groups (G,) selected by the group lasso that are each worth 2 % of the held-out error."""
+    """Return the column groups (G,) selected by the group lasso, each of which reduces the held-out error by 2 %."""
     scale = mad(y) or 1.0
     kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
     while kept.any():

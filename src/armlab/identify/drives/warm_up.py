@@ -3,7 +3,7 @@
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
 with c the Coulomb torque of the model. For a given time constant and initial thermal state, x follows from the friction
-power, and all other parameters are linear; power and x converge in three iterations. x is constant within a second, so
+power, and all other parameters are linear. Power and x converge in three iterations. x is constant within a second, so
 only sums per second are stored for a log.
 """
 
@@ -135,13 +135,13 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueM
 
     Returns
     -------
-    Fit of `models.TorqueModel` with its own torque covariance and quality, see `fit_friction`. It has eight parameters
+    Fit of `models.TorqueModel` with a new torque covariance and quality; see `fit_friction`. It has eight parameters
     per joint with warm-up; their covariance comes from the scatter of segments longer than the residual
     autocorrelation.
 
     Raises
     ------
-    NotExcited : a shorter log.
+    NotExcited : a log of less than 20 minutes.
     ShapeError : NaN, wrong joint count, velocity that is not the derivative of position.
 
     References
@@ -213,7 +213,7 @@ def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarr
 
 
 def _along(k: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return v (B, 6); the residuals of a second are its columns times v."""
+    """Return v (B, 6); the residuals of a second are the columns of that second times v."""
     constant = np.broadcast_to(k[1:4, None], (3, len(x)))
     return np.stack([k[0] + k[4] * x, *constant, k[5] * x, np.full(len(x), -1.0)], axis=1)
 
