@@ -80,8 +80,8 @@ def setup(
 
     Parameters:
         host: Address of the controller, such as 192.168.125.1.
-        modules: Folder with your own modules under the same file names, such as ArmlabJoint.mod; armlab supplies any
-            missing modules.
+        modules: Folder with your own versions of the modules, such as ArmlabJoint.mod; armlab supplies any missing
+            modules.
         replace: Overwrite modules and files that differ, and save and unload any other module with a main routine.
     """
     from armlab.bridge.doctor.controller import controller_findings, known_tasks, require, require_rest

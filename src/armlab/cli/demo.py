@@ -285,7 +285,7 @@ class DemoVerdict:
             if p["name"].startswith("weight") and not abs(p["error"]) <= MAX_PRESS_ERROR * abs(p["true"])
         ]
         if not self.rest_inside >= 1.0:
-            missed.append(f"truth at rest inside 2 sigma for only {100 * self.rest_inside:.1f} %")
+            missed.append(f"true force at rest inside 2 sigma for only {100 * self.rest_inside:.1f} %")
         return tuple(missed)
 
     def text(self) -> str:

@@ -159,7 +159,7 @@ class Job:
 
     Attributes:
         robot: Library name or robot file; default: the robot named by the recordings.
-        workers: Processes on this computer.
+        workers: Number of processes on this computer.
         dask: Address of a Dask scheduler, tcp://HOST:PORT; its workers need the files at the same paths.
         json: Print JSON for scripts.
         force: Replace existing files, and save a poor model.

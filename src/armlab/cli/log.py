@@ -286,7 +286,7 @@ def merge(*file: Path, output: Output, force: Force = False) -> None:
 def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggler: bool = False) -> int:
     """Open a recording in another program: Foxglove, PlotJuggler or Rerun.
 
-    Default: the first installed program. None of them is required: armlab plot and armlab view also show logs. The
+    Default: the first installed program. armlab plot and armlab view show logs without any of these programs. The
     command returns when the program ends.
 
     Parameters:

@@ -85,7 +85,9 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
         raise ConfigError("Expected the name of a robot, got none. For example: armlab record yumi_left -o run.mcap.")
     numbers = known_ports(arms) if port is None else ports_in(port)
     if len(numbers) != len(arms):
-        raise ConfigError(f"Expected one port per robot, such as --port 6511,6512, got {port!r} for {len(arms)}.")
+        raise ConfigError(
+            f"Expected one port per robot, such as --port 6511,6512, got {port!r} for {len(arms)} robots."
+        )
     return [f"egm://0.0.0.0:{number}" for number in numbers]
 
 

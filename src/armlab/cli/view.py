@@ -58,7 +58,7 @@ def view(
         cell: With --live: name of the cell; required if several cells are running.
         port: Port of the page; default: the first free port from 8080.
         package_path: Folder with mesh packages (package://NAME/... in a URDF); may be repeated.
-            ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are also searched.
+            The folders in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are also searched.
         force: Show a recording even if its description of the arm (tool, mount, limits) differs.
     """
     if fleet:
@@ -125,7 +125,7 @@ def _mesh_folders(robots: Sequence[str], packages: Sequence[Path] | None) -> lis
 
     for folder in packages or ():
         if not folder.is_dir():
-            raise ConfigError(f"Expected --package-path with a folder, got {folder}. Give the folder of the packages.")
+            raise ConfigError(f"Expected --package-path with a folder, got {folder}. Pass the folder of packages.")
     files = [path.resolve() for path in map(description, robots) if path is not None and path.is_file()]
     return [*(packages or ()), *(folder for file in files for folder in file.parents[:ABOVE]), Path()]
 

@@ -94,7 +94,7 @@ def identify(
     Raises
     ------
     LogError : there are no logs, or all were skipped (the error states the reason).
-    NotExcited : the logs together do not determine all parameters (the error names the others).
+    NotExcited : the logs together do not determine all parameters (the error names those left undetermined).
 
     References
     ----------

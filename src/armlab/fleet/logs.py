@@ -80,10 +80,10 @@ def estimate(
 
     Raises
     ------
-    LogError : no logs, or all skipped.
-    ConfigError : a file exists.
-    ModelMismatchError : a model of another arm.
-    UnknownName : unknown method.
+    LogError : there are no logs, or all of them were skipped.
+    ConfigError : an output file already exists.
+    ModelMismatchError : the model belongs to another arm.
+    UnknownName : the method is unknown.
     """
     model = value_of(model)
     Estimator(model, robot, method)  # raises before any work
@@ -228,8 +228,8 @@ def export(
 
     Raises
     ------
-    LogError : no logs, or all skipped.
-    ConfigError : unknown format, no robot for MCAP, or a file exists.
+    LogError : there are no logs, or all of them were skipped.
+    ConfigError : the format is unknown, MCAP output has no robot, or an output file already exists.
     """
     if ending == ".mcap" and robot is None:
         raise ConfigError("Expected a robot for MCAP recordings, got none. Give robot= (--robot).")

@@ -65,7 +65,7 @@ def map_logs(
     """Call ``work(job, *shared)`` for every job; skip jobs that raise an `ArmlabError` or crash their worker.
 
     `work` is a module-level function, so that it can be pickled. Without an executor, jobs run in this process, one
-    after the other. `progress` is called with (done, total, what) as jobs end; `rows` counts the rows of a result;
+    after the other. `progress` is called with (done, total, what) as jobs end. `rows` counts the rows of a result.
     `kind` names a job in messages.
     """
     run = _JobRun(work, jobs, shared, progress or (lambda done, total, what: None), rows, kind)

@@ -412,7 +412,7 @@ class RowColumns:
                 self._places.append(slot.nothing)
             elif field.shape != slot.column.shape or field.type == "text":
                 raise LinkError(f"Expected {field.name} of shape {slot.column.shape} in the rows, got {field.shape}.")
-            else:  # for a flag the lowest byte, in which -1 becomes 255 (missing)
+            else:  # for a flag, its lowest byte, in which -1 becomes 255 (missing)
                 stop = field.offset + 8 * math.prod(field.shape)
                 self._places.append(slice(field.offset, stop, 8 if slot.dtype == "u1" else None))
 

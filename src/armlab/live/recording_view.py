@@ -174,9 +174,9 @@ def read_arms(
 
     Raises
     ------
-    LogError : no file, an unreadable file, a file without q of its robot, or an arm in two files.
-    RobotError : a robot that is neither described nor in the library.
-    ModelMismatchError : a given robot that differs from the recorded robot, or a model of another arm.
+    LogError : there is no file, a file is unreadable or has no q of its robot, or an arm is in two files.
+    RobotError : a robot is neither described nor in the library.
+    ModelMismatchError : a given robot differs from the recorded robot, or a model belongs to another arm.
     """
     known = [value_of(model) for model in models]
     given = {robot.name: robot for robot in robots}
@@ -328,10 +328,10 @@ class Player:
 
     Raises
     ------
-    LogError : no arm.
-    RobotError : robots with equal names.
-    UnknownName : a base of an unknown arm.
-    ShapeError : an invalid pose.
+    LogError : `arms` is empty.
+    RobotError : two robots have the same name.
+    UnknownName : a base belongs to an unknown arm.
+    ShapeError : a pose is invalid.
     """
 
     t: float

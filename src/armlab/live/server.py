@@ -36,8 +36,8 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
     Raises
     ------
     MissingExtra : viser is not installed.
-    ConfigError : port outside 0 to 65535.
-    LinkError : port in use.
+    ConfigError : the port is outside 0 to 65535.
+    LinkError : the port is in use.
     """
     if port is not None and not (isinstance(port, int) and 0 <= port < 2**16):
         raise ConfigError(f"Expected a port from 0 to 65535, got {port!r}. Use 0 for any free port.")

@@ -205,7 +205,7 @@ def _sample(robot: Robot, points: int, seed: int) -> np.ndarray:
 
 
 def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
-    """Return a figure and its three panels (side, top, space), which are new or the caller's."""
+    """Return a new figure, or that of the caller's Axes, and its three panels (side, top, space)."""
     if ax is not None:
         given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
         if given.size != 3:
@@ -251,7 +251,7 @@ def manipulability(
 
     Raises
     ------
-    UnknownName : unknown `part`.
+    UnknownName : `part` is unknown.
     ShapeError, RobotError : as in `robot`.
     """
     q = configurations(robot, q)

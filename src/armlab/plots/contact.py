@@ -32,7 +32,7 @@ def wrench(table: Table, ax: Any = None) -> Figure:
 
     Parameters
     ----------
-    table : table with wrench_hat (N, 6), and for the bands wrench_hat_cov (N, 6, 6), in base axes at the tool point.
+    table : table with wrench_hat (N, 6) and, for the bands, wrench_hat_cov (N, 6, 6), in base axes at the tool point.
     ax : Axes (3, 2), or three Axes for the forces only; default: a new figure.
 
     Raises

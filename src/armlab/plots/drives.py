@@ -140,7 +140,7 @@ def friction_map(
     Raises
     ------
     ModelMismatchError : `model` is not a torque model.
-    ShapeError : invalid joint index, positions that are not finite, or wrong number of Axes.
+    ShapeError : the joint index is invalid, a position is not finite, or the number of Axes is wrong.
     """
     model = value_of(model)
     joints_shown([joint], model.n)
@@ -208,7 +208,7 @@ def spectrum(
     Raises
     ------
     ModelMismatchError : `fit` is not a torque model.
-    ShapeError : invalid joint index, wrong number of Axes, or a log rejected by `identify.prepare`.
+    ShapeError : a joint index is invalid, the number of Axes is wrong, or `identify.prepare` rejects the log.
     """
     model = value_of(fit)
     shown = joints_shown(joints, model.n)

@@ -54,7 +54,7 @@ def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None
     Raises
     ------
     ModelMismatchError : `fit` is not a torque model.
-    ShapeError : a log rejected by `identify.predict`, or a wrong number of Axes.
+    ShapeError : `identify.predict` rejects the log, or the number of Axes is wrong.
     """
     found = predict(value_of(fit), table)
     t, tau, model, sigma = found.t, found["tau"], found["tau_model"], found["tau_sigma"]
@@ -130,8 +130,8 @@ def residual_speed(
 
     Raises
     ------
-    UnknownName : a missing column.
-    ShapeError : `table` is not a Table, invalid joint index, or wrong number of Axes.
+    UnknownName : a column is missing.
+    ShapeError : `table` is not a Table, a joint index is invalid, or the number of Axes is wrong.
     """
     residuals, qd = _residuals(table), table["qd"]
     shown = joints_shown(joints, residuals.shape[1])
@@ -165,8 +165,8 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
 
     Raises
     ------
-    UnknownName : a missing column.
-    ShapeError : `table` is not a Table, invalid joint index, or fewer than 10 complete rows.
+    UnknownName : a column is missing.
+    ShapeError : `table` is not a Table, a joint index is invalid, or fewer than 10 rows are complete.
     """
     residuals = _residuals(table)
     shown = joints_shown(joints, residuals.shape[1])

@@ -138,7 +138,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
 
     Raises
     ------
-    ShapeError : invalid poses, times that are not one finite number per pose, or a wrong number of Axes.
+    ShapeError : a pose is invalid, `t` does not give one finite time per pose, or the number of Axes is wrong.
     """
     T = pose_stack(T)
     times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)

@@ -35,7 +35,7 @@ _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # scaling of thes
 
 
 def space(ax: Any = None) -> tuple[Figure, Axes3D]:
-    """Return a figure and its three-dimensional axes in metres, which are new or the caller's."""
+    """Return a new figure, or that of the caller's Axes, and its three-dimensional axes in metres."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -205,7 +205,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
 
     Raises
     ------
-    ShapeError : an item of another type, an invalid pose, a negative `frames`, or Axes that are not three-dimensional.
+    ShapeError : an item has another type, a pose is invalid, `frames` is negative, or `ax` is not three-dimensional.
     """
     size = numbers(frames, "frames", ShapeError)
     if size.ndim or not 0.0 <= size < np.inf:

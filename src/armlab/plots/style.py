@@ -61,7 +61,7 @@ def look() -> Iterator[None]:
 def panels(
     rows: int, columns: int, ax: Any = None, *, width: float = 9.0, height: float = 1.8, **layout: Any
 ) -> Iterator[tuple[Figure, np.ndarray]]:
-    """Yield a figure and its axes (rows, columns) in armlab's style, which are new or the Axes `ax` of the caller."""
+    """Yield a new figure, or that of the caller's Axes `ax`, and its axes (rows, columns) in armlab's style."""
     with look():
         if ax is None:
             import matplotlib.pyplot as plt

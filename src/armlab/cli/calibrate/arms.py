@@ -168,7 +168,7 @@ def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndar
     import numpy as np
 
     if not any(name in read for name in names):
-        raise LogError(f"Expected one of {', '.join(names)} in {read.path}, got {', '.join(read.values)}.")
+        raise LogError(f"Expected one of the columns {', '.join(names)} in {read.path}, got {', '.join(read.values)}.")
     empty = {"pose": (N, 4, 4), "absolute_a": (N, 4, 4), "position": (N, 1, 3)}
     found = []
     for name in names:

@@ -64,18 +64,18 @@ def hand_eye(
     wxyz, xyzw, rpy, euler_zyx, euler_xyz, euler_zyz or matrix; append _deg for degrees.
 
     Instead of T_cam_marker, a file may contain the marker points in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x
-    ...; in a MAT file p_cam (N, K, 3). Leave hidden points empty.
+    ...; in a MAT file, the array p_cam (N, K, 3). Leave hidden points empty.
 
-    With --images, the file contains a column image (the name of an image in that folder) and T_base_tool, or the joint
-    positions q1, q2 ... together with --robot.
+    With --images, the file contains a column image (the name of an image in that folder) and either T_base_tool
+    or, with --robot, the joint positions q1, q2 ...
 
     Parameters:
         images: Folder of images of a board, taken at rest.
-        board: Type and size of the board [m]: charuco:7x5:0.03:0.022 (squares, sides of a square and a marker),
-            checkerboard:8x5:0.025 (inner corners, side of a square), apriltag:36h11:0.05 or aruco:4X4_50:0.05 (family,
-            side of a tag).
-        intrinsics: YAML or JSON of OpenCV or ROS with camera_matrix and distortion_coefficients. Default: calibrated
-            from the images.
+        board: Type and size of the board [m]: charuco:7x5:0.03:0.022 (number of squares, side lengths of a
+            square and a marker), checkerboard:8x5:0.025 (number of inner corners, side length of a square),
+            apriltag:36h11:0.05 or aruco:4X4_50:0.05 (family, side length of a tag).
+        intrinsics: YAML or JSON file from OpenCV or ROS, with camera_matrix and distortion_coefficients. Default:
+            calibrated from the images.
         join: For two synchronised files with a column t, one with T_base_tool or q and one with T_cam_marker: use the
             nearest or the interpolated robot pose at each camera time.
         max_gap: With --join: largest time difference to a robot pose, such as 20ms; default: three sample periods.
@@ -147,7 +147,7 @@ def _check_options(
         raise ConfigError(f"Expected --max-gap {max_gap} with --join nearest or linear, got no --join. Add --join.")
     wanted = 1 if images is not None or robot_topic is not None else 2 if join is not None else len(samples)
     if len(samples) != wanted:
-        what = {1: "one file (poses with names of images, or a bag)", 2: "two files (robot and camera)"}
+        what = {1: "one file (poses with image names, or a bag)", 2: "two files (robot and camera)"}
         raise ConfigError(f"Expected {what[wanted]} with these options, got {len(samples)}.")
 
 

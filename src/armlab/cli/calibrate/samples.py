@@ -122,13 +122,13 @@ class Samples:
     def _found(self, name: str) -> np.ndarray:
         if name not in self.values:
             have = ", ".join(self.values) or "none"
-            raise LogError(f"Expected {name} in {self.path}, got {have}. Rename its columns; see --help.")
+            raise LogError(f"Expected {name} in {self.path}, got {have}. Rename the columns; see --help.")
         array = self.values[name]
         if array.dtype.kind not in "biuf":
             raise LogError(f"Expected numbers in {name} of {self.path}, got text such as {str(array.flat[0])!r}.")
         unit, wanted = self.units.get(name), next((u for word, u in _UNITS.items() if re.fullmatch(word, name)), None)
         if wanted is not None and unit not in (None, "", "1", wanted):
-            raise LogError(f"Expected {name} of {self.path} in {wanted}, got {unit}. Convert it.")
+            raise LogError(f"Expected {name} of {self.path} in {wanted}, got {unit}. Convert the values.")
         return array.astype(float)
 
 

@@ -50,7 +50,7 @@ def fit(
 
     Parameters:
         logs: One log per demonstration: MCAP, CSV, MAT or Parquet. The kinds pose and periodic need one log, and promp
-        at least two.
+            needs at least two logs.
         output: Output file, .toml.
         kind: joints; pose (of the tool); periodic (rhythmic motion); promp (distribution over several demonstrations).
         column: Columns that form the motion; default: q, or T_base_tool with pose.
@@ -125,7 +125,7 @@ def play(
         speed: Fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         firm: Do not wait for a held arm: send the path open loop.
         log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: dmp.mcap in the log folder.
-        force: Replace an existing --output file, and play a joint-space primitive of another robot.
+        force: Replace an existing --output file, and play a joint-space primitive taught on another robot.
     """
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out
     from armlab.cli.support.settings import log_folder

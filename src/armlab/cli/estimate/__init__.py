@@ -76,7 +76,8 @@ def estimate(
         bias: With method kf: estimate a friction error per joint, reset after each stop.
         tare: Initial time during which the arm is at rest without contact [s]. The friction identified during this time
             is valid until the arm moves.
-        output: Also write the estimate of every row with q, qd and tau, .mcap (for armlab view) or .csv.
+        output: Also write the estimate of every row, together with q, qd and tau, to this .mcap (for armlab view) or
+            .csv file.
         prior: Prior of the contact wrench.
     """
     from armlab.cli.estimate import report as report_of
