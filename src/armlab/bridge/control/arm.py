@@ -103,7 +103,7 @@ _SILENCE = 0.5  # s of silence after which a session ends
 
 
 class End(NamedTuple):
-    """Port and codec of an arm; `admittance` converts torques to velocities; with None, torques are sent or refused."""
+    """Port and codec of an arm; `admittance` converts torques to velocities (None: torques are sent or refused)."""
 
     robot: Robot
     port: Port

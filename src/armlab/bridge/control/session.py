@@ -181,8 +181,8 @@ class Session:
     Sequence numbers are compared modulo 2**32. These packets begin a session, in which replies are numbered from 0:
 
     - the first packet, and the first packet after a silence;
-    - a packet with number 0, even with an earlier clock (the robot restarted), unless its `tm` is that of the first
-      packet of this or a previous session (late duplicate);
+    - a packet with number 0, even with an earlier clock (the robot restarted), but not a late duplicate, whose `tm` is
+      that of the first packet of this or a previous session;
     - the third consecutive out-of-order packet, after five periods without a packet in order: the first packet of its
       session was lost.
     """

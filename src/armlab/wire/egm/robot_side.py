@@ -109,8 +109,9 @@ class SensorMessage(NamedTuple):
 class RobotSideCodec:
     """Codec of one simulated arm, which encodes `RobotMessage` as EgmRobot and decodes EgmSensor to `SensorMessage`.
 
-    RobotWare 6.06 sends angles in radians. `extension`: names of `EXTENSION_ARRAYS` to send, True for `DEFAULT_ARRAYS`;
-    `force`: whether messages contain `wrench_raw`; `external`, `data`: numbers of external axes and of RAPID values.
+    RobotWare 6.06 sends angles in radians. `extension` lists the names of the `EXTENSION_ARRAYS` to send; True selects
+    `DEFAULT_ARRAYS`. `force` states whether messages contain `wrench_raw`. `external` and `data` are the numbers of
+    external axes and of RAPID values.
     """
 
     def __init__(

@@ -92,7 +92,7 @@ class Ports:
         self._flush_all(channel)
 
     def turn(self) -> bool:
-        """Wait at most 50 ms for client events; handle a limited share per client; return whether any event arrived."""
+        """Wait at most 50 ms for client events, handle a limited share per client, and return whether any arrived."""
         ready = self._selector.select(_CHECK_EVERY)
         served, most = False, max(_TURN // max(len(ready), 1), _LEAST)
         for key, mask in ready:
