@@ -137,8 +137,10 @@ class EgmMessages:
     Parameters
     ----------
     packet, drop : named tuples to create, `wire.egm.Packet` and `wire.egm.Drop`.
-    order : axis of each joint, from 0. scale : (n,) SI per wire unit of each joint.
-    external_scale : SI per wire unit of the first external axes beyond the robot's own; further axes are in degrees.
+    order : axis of each joint, counted from 0.
+    scale : (n,) SI units per wire unit of each joint.
+    external_scale : SI units per wire unit of the first external axes beyond the robot's own; further axes are in
+        degrees.
     extension : whether to write the research extension.
 
     Raises
@@ -209,7 +211,7 @@ class InverseSolver:
         """Return q (..., n), errors (..., 3), counts (..., 3) and the history (..., steps + 1, 2) or None.
 
         The counts are the steps of all starts, the number of starts, and the status. Without a solution, `q` is the
-        posture with the smallest error; it is always within the limits. The errors are the position error [m], the
+        posture with the smallest error; `q` is always within the limits. The errors are the position error [m], the
         rotation error [rad] (NaN if the task does not constrain it) and the remaining slope of the objective (NaN
         without an objective).
 
@@ -223,8 +225,9 @@ class InverseSolver:
         starts : largest number of starts.
         position_tolerance, rotation_tolerance : errors at which a goal counts as solved [m], [rad].
         damping : ``lambda = damping |e|^2``, multiplied by eight after each failure.
-        objective : for the joints left free by the task: 0 none, 1 posture, 2 limits, 3 manipulability.
-        reference : (n,) or (..., n), and scale : (n,), of objectives 1 and 2; None: zeros.
+        objective : use of the degrees of freedom left by the task: 0 none, 1 posture, 2 limits, 3 manipulability.
+        reference : (n,) or (..., n) reference of objectives 1 and 2; None: zeros.
+        scale : (n,) scale of objectives 1 and 2; None: zeros.
         history : whether to return the errors along the successful start, NaN after its end.
         threads : 1 to 256.
         """
@@ -248,9 +251,9 @@ class InverseSolver:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Solve from `q0` only, without moving any joint by more than `change`; otherwise as `solve`.
 
-        For paths, whose start is the previous posture: either the result is near it, or status 5 reports that the bound
-        stopped the search. Damping limits the steps near singular postures. `q` is the posture with the smallest error
-        within the bound.
+        Intended for paths, on which the start is the previous posture. Either the result is near the start, or status 5
+        reports that the bound stopped the search. Damping limits the steps near singular postures. `q` is the posture
+        with the smallest error within the bound.
         """
 
 class MessageCopier:
@@ -292,8 +295,9 @@ class MomentumEstimator:
         doubt_mean : as in `WrenchEstimator`.
     memory : (n,) correlation time of the torque error [s].
     qd_noise : (n,) standard deviation of the measured velocity.
-    rate : (6,) intensity of the wrench's random walk [N^2/s, (N m)^2/s]. leak : (6,) of the wrench [1/s].
-    gain : gain of the observer [1/s].
+    rate : (6,) intensity of the wrench's random walk [N^2/s, (N m)^2/s].
+    leak : (6,) leak of the wrench [1/s].
+    gain : observer gain [1/s].
     filters : True for the Kalman filter, False for the observer.
     biased : whether the filter estimates a friction error per joint.
     """
@@ -345,9 +349,12 @@ class Obstacles:
 
     Parameters
     ----------
-    arm : 2 or 3 dimensions of the space, or a `Chain`. links : (B,) links, from 1, that carry the bodies of an arm.
+    arm : number of dimensions of the space (2 or 3), or a `Chain`.
+    links : (B,) numbers of the links that carry the bodies of an arm, counted from 1.
     bodies : (B, 7) ends and radius of capsules in the axes of their links [m]; unused in space.
-    clearance, reach : [m]. by_potential : whether to use the potential instead of steering.
+    clearance : smallest allowed distance from the obstacle surfaces [m].
+    reach : distance within which obstacles act [m].
+    by_potential : whether to use the potential instead of steering.
     """
 
     def __init__(
@@ -376,9 +383,11 @@ class Primitive:
 
     Parameters
     ----------
-    centres, widths : (m,) of the kernels; widths are standard deviations. weights : (m, n).
-    alpha, stiffness : damping and stiffness of the spring, in units of tau. decay, pace : of the phase.
-    phase : "canonical", "time", "position" or "periodic".
+    centres, widths : (m,) centres and widths of the kernels; widths are standard deviations.
+    weights : (m, n) kernel weights.
+    alpha, stiffness : damping and stiffness of the spring, in units of tau.
+    decay, pace : decay rate of the phase, and speed of the time phase.
+    phase : kind of the phase: "canonical", "time", "position" or "periodic".
 
     Raises
     ------
@@ -400,7 +409,7 @@ class Primitive:
         """Return the normalised kernels (..., m) at phases (...)."""
 
     def design(self, x: Any, factors: Any, rows: int, columns: int) -> np.ndarray:
-        """Return zeros (columns, rows) with the kernels at phases (N,), times factors (N,), in the corner [:m, :N].
+        """Return zeros (columns, rows) with the kernels at phases (N,), scaled by factors (N,), in the corner [:m, :N].
 
         Raises
         ------
@@ -417,7 +426,10 @@ class Primitive:
 
         Parameters
         ----------
-        t : (N,) increasing. tau : time constant [s]. y0, v0, g, scale : (n,) or (K, n). weights : (K, m, n) or None.
+        t : (N,) increasing times [s].
+        tau : time constant [s].
+        y0, v0, g, scale : (n,) or (K, n) start position, start velocity, goal, and factor on the forcing term.
+        weights : (K, m, n) kernel weights, or None.
 
         Raises
         ------
@@ -429,7 +441,9 @@ class Primitive:
 
         Parameters
         ----------
-        t : (N,) increasing. tau : time constant [s]. longest : longest integration step [s].
+        t : (N,) increasing times [s].
+        tau : time constant [s].
+        longest : longest integration step [s].
 
         Raises
         ------
@@ -441,7 +455,8 @@ class PrimitiveStepper:
 
     Parameters
     ----------
-    primitive : primitive to run. filter : rate of the goal filter times tau; 0 changes the goal immediately.
+    primitive : primitive to run.
+    filter : rate of the goal filter multiplied by tau; 0 changes the goal immediately.
     around : obstacles to avoid, which the stepper moves.
     """
 
@@ -455,8 +470,8 @@ class PrimitiveStepper:
     def change_goal(self, g: Any, scale: Any, limit: Any = None) -> None:
         """Change the goal.
 
-        `g`, `scale`: (n,). `limit`: (n,) largest deceleration of the brake, 0 for coordinates without a brake; None: no
-        brake.
+        `g`, `scale`: (n,) goal and factor on the forcing term. `limit`: (n,) largest deceleration of the brake, 0 for
+        coordinates without a brake; None: no brake.
         """
 
     def change_tau(self, tau: float) -> None:
@@ -582,7 +597,8 @@ class RowEncoder:
 
         Parameters
         ----------
-        rows : at least one row. first : sequence number of the first row; None: use the tick numbers of the rows.
+        rows : at least one row.
+        first : sequence number of the first row; None: use the tick numbers of the rows.
         at : offset of the first record in the chunk.
 
         Raises
@@ -641,7 +657,9 @@ class SignalOperator:
 
     Parameters
     ----------
-    kind : see above. a : time constant T [s], or angular frequency w [rad/s]. b : damping ratio z < 1.
+    kind : kind of the operator, see above.
+    a : time constant T [s], or angular frequency w [rad/s].
+    b : damping ratio z < 1.
     dt : nominal step [s]; NaN if every sample has a time stamp.
     init : None, a number, or an array of the shape of a sample.
     """
@@ -665,10 +683,11 @@ class TwoDof:
 
     Parameters
     ----------
-    primitive : spring, basis and weights. tau : its time constant [s].
+    primitive : spring, basis and weights.
+    tau : time constant of the primitive [s].
     y0, g, scale : (n,) start (reference of the position phase), goal, and factor on the forcing term.
     gains : (5,) kp [1/s^2], kv [1/s], kc, alpha_e [1/s], e_max (may be infinite).
-    dead_zone, unit : (n,) of the error e.
+    dead_zone, unit : (n,) dead zone and unit of the error e.
 
     Raises
     ------
@@ -691,7 +710,8 @@ class TwoDof:
 
         Parameters
         ----------
-        state : (5 n + 2,). dt : duration [s], divided into `steps` equal steps, at least one.
+        state : (5 n + 2,) state at the beginning.
+        dt : duration [s], divided into `steps` equal steps, at least one.
         driven : (n,) externally imposed velocity of ya; NaN for coordinates with ya'' = ya_ref''.
         speed : (3,) v at the beginning and at the end, linear in between, and v' after the end.
 
@@ -745,11 +765,13 @@ class WrenchEstimator:
     ----------
     chain : kinematics and dynamics kernel.
     gravity : (3,) [m/s^2], base axes.
-    links : (n, 10) link parameters. rotor : (n,) rotor inertia.
+    links : (n, 10) link parameters.
+    rotor : (n,) rotor inertia.
     drive : friction and ripple of the same number of joints.
-    gains : (n,) ratio of measured to true torque. gain_variance : variance of their common factor.
+    gains : (n,) ratio of measured to true torque.
+    gain_variance : variance of the common factor of all gains.
     covariance : (5, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const), relative uncertainty of the contact torque;
-        C0 and Cinf already scaled.
+        C0 and Cinf are already scaled.
     bound : (3, n) rows torque, speed and floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
     cutoff : cut-off frequency of the low-pass filter [Hz].
@@ -757,8 +779,8 @@ class WrenchEstimator:
     point : (3,) contact point in tool axes, or None if the complete wrench is unknown.
     doubt_columns, doubt_cov, doubt_mean : columns (n, W) of the parameters of each joint, then -1, their covariances
         (n, W, W), of which the lower triangle is used, and the torque variance (n,) that counts as zero; or None.
-        Columns are those of links (10 n), rotors (n), and the joint's own
-        friction: viscous, Coulomb per direction, offset, Stribeck, root, load.
+        Columns are those of links (10 n), rotors (n), and the joint's own friction: viscous, Coulomb per
+        direction, offset, Stribeck, root, load.
     """
 
     def __init__(
@@ -795,7 +817,7 @@ class WrenchEstimator:
         """Step along a record (N, n) with time steps dt (N,); return the outputs of `step` stacked over N."""
 
 def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m), with x clipped to the centres.
+    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m), with x clipped to the centres' range.
 
     Parameters
     ----------
@@ -860,10 +882,11 @@ def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt:
 def implausible(
     q: np.ndarray, before: np.ndarray | None, bounds: np.ndarray, margin: float, step: float, seconds: float
 ) -> int:
-    """Return i (from 1) if joint i is outside its range, -i if it moved too far since `before`, else 0.
+    """Return i (from 1) if joint i is outside its range, -i if joint i moved too far since `before`, else 0.
 
-    `bounds`: lowest and highest positions, and speeds (3, n). Outside means by more than `margin`; too far means by
-    more than ``step + speed * seconds``. The result is the first non-finite joint, else the worst.
+    `bounds`: lowest and highest positions, and speeds (3, n). A joint is outside its range if it exceeds the range by
+    more than `margin`. A joint moved too far if it moved by more than ``step + speed * seconds``. The result is the
+    first non-finite joint, otherwise the joint with the largest violation.
     """
 
 def following_error(
@@ -875,9 +898,9 @@ def following_error(
     kept: float,
     lag: float,
 ) -> tuple[np.ndarray, int, bool]:
-    """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and if it is near.
+    """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and whether it is near.
 
-    Near means ``|reference - q| <= allowed + lag * speeds``; all arrays are (n,).
+    The joint is near if ``|reference - q| <= allowed + lag * speeds``; all arrays are (n,).
     """
 
 def limit_reference(
@@ -933,7 +956,7 @@ def model_torque(
     dt: np.ndarray | None = None,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return ``rnea + rotor qdd + drives`` (N, n) along a record, with z from 0 at the first row.
+    """Return ``rnea + rotor qdd + drives`` (N, n) along a record, with the presliding state z = 0 at the first row.
 
     A row with a non-finite number gives NaN and leaves the state of the drives unchanged.
 
@@ -960,14 +983,18 @@ def momentum_step(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a measurement of the momentum.
 
-    This is one step of `MomentumEstimator`, exposed for the tests of its laws.
+    This function performs one step of `MomentumEstimator`; it is public for the tests of the estimator equations.
 
     Parameters
     ----------
-    x, P : state [p; z] and its covariance before the step.
-    G : (n, m) effect of the hidden inputs on the momentum. u : (n,) mean known input over the step.
-    y : (n,) measured momentum. R : (n, n) its covariance.
-    h : step [s]. Qp : (n,) intensity of the torque error [(N m)^2 s]. q, a : (m,) intensity and leak of the inputs.
+    x, P : state [p; z] and its covariance, both before the step.
+    G : (n, m) effect of the hidden inputs on the momentum.
+    u : (n,) mean known input over the step.
+    y : (n,) measured momentum.
+    R : (n, n) covariance of the measured momentum.
+    h : step [s].
+    Qp : (n,) intensity of the torque error [(N m)^2 s].
+    q, a : (m,) intensity and leak of the inputs.
     """
 
 def poses(T: Any, name: str) -> np.ndarray:
@@ -1016,8 +1043,12 @@ def rotation_rollout(
 
     Parameters
     ----------
-    primitive : primitive with three coordinates and a time phase. t : (N,) increasing [s]. tau : time constant [s].
-    q0, goal : (4,) wxyz. w0 : (3,). map : (3, 3).
+    primitive : primitive with three coordinates and a time phase.
+    t : (N,) increasing times [s].
+    tau : time constant [s].
+    q0, goal : (4,) start and goal orientations, wxyz.
+    w0 : (3,) angular velocity at the start.
+    map : (3, 3) map of the forcing term.
 
     Raises
     ------
@@ -1025,7 +1056,7 @@ def rotation_rollout(
     """
 
 def rotations(R: Any, name: str) -> np.ndarray:
-    """Return rotations (..., 3, 3) as float64; reject the first that is off by more than 1e-6.
+    """Return rotations (..., 3, 3) as float64; reject the first one with an error above 1e-6.
 
     Parameters
     ----------
@@ -1084,8 +1115,8 @@ def solve_wrench(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
     """Return x (k,), its covariance (k, k), active joints (n,), iterations, KKT residual and whether x is undetermined.
 
-    x and its covariance are NaN where the data do not determine them. This is one solution of `WrenchEstimator`,
-    exposed for the tests of its laws.
+    x and its covariance are NaN where the data do not determine them. This function performs one solution of
+    `WrenchEstimator`; it is public for the tests of the estimator equations.
 
     Parameters
     ----------
@@ -1100,10 +1131,12 @@ def wrench_interval(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return the smallest and largest value (k, 2) of each unknown in {x : |error - A^T x| <= spread, |x| <= box}.
 
-    None if the set is empty; the mask (n,) then marks contradictory joints. NaN for non-finite torque errors or rows of
-    the Jacobian.
+    The values are None if the set is empty; the mask (n,) then marks contradictory joints. The values are NaN for
+    non-finite torque errors or rows of the Jacobian.
 
     Parameters
     ----------
-    A : (k, n) rows of the Jacobian. error, spread : (n,) [N m]. box : (k,) largest values.
+    A : (k, n) rows of the Jacobian.
+    error, spread : (n,) torque errors and their largest deviations [N m].
+    box : (k,) largest absolute values of the unknowns.
     """
