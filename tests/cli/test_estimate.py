@@ -74,14 +74,14 @@ def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
     for broken, code, sentence in (
         (table.with_column("tau", np.where(rows < 10, np.nan, table["tau"])), 0, "10 of 1000 rows"),
-        (table.with_column("tau", np.where(rows >= 0, np.nan, table["tau"])), 1, "none among 1000. Record with the"),
-        (table.with_column("q", np.where(rows >= 0, np.nan, table["q"])), 1, "none among 1000. Never finite: q."),
+        (table.with_column("tau", np.where(rows >= 0, np.nan, table["tau"])), 1, "none in 1000 rows. Record with the"),
+        (table.with_column("q", np.where(rows >= 0, np.nan, table["q"])), 1, "none in 1000 rows. Never finite: q."),
         (
             table.with_column("q", torn).with_column("tau", table["tau"] + 0.0 * torn[::-1]),
             1,
             "Never finite: all three in one row",
         ),
-        (table.rows(slice(0, 0)), 1, "none among 0"),
+        (table.rows(slice(0, 0)), 1, "none in 0 rows"),
     ):
         monkeypatch.setattr("armlab.log.reading.read", lambda path, broken=broken, **_: broken)
         assert sentence in command(words, code).err

@@ -76,7 +76,7 @@ def setup(
 ) -> None:
     """Upload and load the guidance modules, set the program pointer, switch the motors on, and start RAPID.
 
-    The modules hold the arm where it is until a program on this computer commands it.
+    The modules hold the arm in place until a program on this computer commands it.
 
     Parameters:
         host: Address of the controller, such as 192.168.125.1.

@@ -40,7 +40,7 @@ bridge: App = App(
 
 @bridge.default
 def start(*, config: Path | None = None, listen: list[str] | None = None, seconds: float | None = None) -> int:
-    """Run the bridge of a cell until Ctrl-C. Prints its addresses at the start, and a report at the end.
+    """Run the bridge of a cell until Ctrl-C. Prints the server addresses at the start, and a report at the end.
 
     Parameters:
         config: TOML file that describes the cell (robots, sources, parameters and servers); default: from the settings.
@@ -253,7 +253,7 @@ _LINES = 1.0  # s between lines if the output is not a terminal
 
 
 def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: Seconds = None) -> None:
-    """Monitor one of your running bridges until Ctrl-C or until it ends.
+    """Monitor one of your running bridges until Ctrl-C or until the bridge ends.
 
     Parameters:
         robot: Show only this arm.

@@ -62,7 +62,7 @@ def _written(value: Any) -> str:
 
 
 def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
-    """Print the completion script of a shell for commands, options and values. Install it with one line:
+    """Print the completion script of a shell for commands, options and values. Install the script with one line:
 
     - bash: armlab completion bash > ~/.local/share/bash-completion/completions/armlab
     - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath

@@ -81,7 +81,7 @@ def record(
     secret: Secret = None,
     seconds: Seconds = None,
 ) -> int:
-    """Record each robot that sends rows to its own file, until Ctrl-C.
+    """Record all robots that send rows, in one file per robot, until Ctrl-C.
 
     Parameters:
         output: Folder for the files, LAB-ROBOT.mcap; created if missing.

@@ -236,7 +236,7 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
 
 
 class TextFile:
-    """New text file whose errors include its path."""
+    """New text file whose error messages include its path."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -140,7 +140,7 @@ def _open(url: str) -> None:
 def beside(cell: str, robot: str | None = None) -> Iterator[str]:
     """Show a bridge in the browser during the block, from a separate process; yields the address.
 
-    `robot`: arm of the bridge as the user typed it; adds its meshes.
+    `robot`: arm of the bridge as typed by the user; its meshes are added.
     """
     words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell, *(mesh_option(robot) if robot else ())]
     with TemporaryFile("w+") as said:
@@ -159,7 +159,7 @@ def beside(cell: str, robot: str | None = None) -> Iterator[str]:
 
 
 def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
-    """Return the first line of a view, which it prints once the page can be opened."""
+    """Return the first line printed by a view, which appears once the page can be opened."""
     out = process.stdout
     came = out is not None and select.select([out], [], [], _START)[0]
     line = out.readline().strip() if out is not None and came else ""

@@ -121,7 +121,7 @@ class _JobRun:
                 self.keep(name, (False, self._killed))
         while left := self._left(self._jobs):
             if not isinstance(executor, ProcessPoolExecutor):
-                raise ConfigError("Expected a working executor, got a broken executor. Restart it and try again.")
+                raise ConfigError("Expected a working executor, got a broken executor. Restart this executor.")
             self._alone(executor, suspects)
             if left := self._left(left):
                 with _another(executor, None) as again:

@@ -136,7 +136,7 @@ class Running:
         found |= self._described
         shown = {name: robot for name, robot in found.items() if self._robot in (None, name)}
         self._estimates = _estimates(self._models, shown)
-        if shown != self.robots:  # the same arms keep their scene
+        if shown != self.robots:  # unchanged arms keep their scene
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:

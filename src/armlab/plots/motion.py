@@ -271,8 +271,8 @@ def promp(
 
     Raises
     ------
-    ShapeError : `promp` is not a ProMP; demonstrations, prior or via-points have the wrong shape; the number of Axes is
-        wrong.
+    ShapeError : `promp` is not a ProMP, a demonstration, the prior or a via-point has the wrong shape, or the number
+        of Axes is wrong.
     """
     promp = value_of(promp)
     expect(promp, ProMP)

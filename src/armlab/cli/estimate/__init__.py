@@ -160,6 +160,6 @@ def _check(table: Table, log: Path) -> None:
             if never == ["tau"]
             else f"Never finite: {', '.join(never) or 'all three in one row'}. Record again."
         )
-        raise LogError(f"Expected rows with finite q, qd and tau in {log}, got none among {len(table)}. {advice}")
+        raise LogError(f"Expected rows with finite q, qd and tau in {log}, got none in {len(table)} rows. {advice}")
     if invalid:
         note(f"{invalid} of {len(table)} rows are not finite and have no estimate")

@@ -36,7 +36,8 @@ def identify(
     """Identify gravity, inertia and friction from logs; save the model.
 
     Prints a table per joint, and a verdict with advice for the next log. A poor model is saved only with --force;
-    otherwise the command ends with status 3. If the logs do not determine the model, it ends with status 1.
+    otherwise the command ends with status 3. If the logs do not determine the model, the command ends with status
+    1.
 
     Parameters:
         robot: Name in the library, or a robot file.
@@ -88,7 +89,7 @@ def identify(
 
 
 def _with_drives(fit: Fit[TorqueModel], tables: Sequence[Table]) -> Fit[TorqueModel]:
-    """Return the fit with the drive terms that improve it; if identification fails, add the reason to its doubts."""
+    """Return the fit with the drive terms that improve it; if identification fails, add the reason to the doubts."""
     try:
         return replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
     except (NotExcited, ShapeError) as error:

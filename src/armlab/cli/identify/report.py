@@ -101,7 +101,7 @@ def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None
         if worse.any():
             found.bad.append(f"{_joints(worse)}: worse in the test log (residual {said}) than in held-out blocks.")
             found.ahead.append(
-                "Record motions like those in the test log: its speeds, poses or load were not in the training data."
+                "Record motions like those in the test log: the training data lack its speeds, poses or load."
             )
         else:
             found.good.append(f"Test log: residual {said}, as in held-out blocks.")

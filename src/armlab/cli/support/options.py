@@ -61,7 +61,7 @@ _chosen: dict[str, str] = {}  # options that select the arm of a URDF, for all r
 
 
 def take_robot_options(words: Sequence[str]) -> list[str]:
-    """Return the command words without --base, --tip and --lock, which `load_robot` then applies."""
+    """Return the command-line arguments without --base, --tip and --lock, which `load_robot` then applies."""
     _chosen.clear()
     left, waiting = [], list(words)
     while waiting:
@@ -93,7 +93,7 @@ def is_arm_chosen() -> bool:
 
 
 def as_typed(word: str) -> list[str]:
-    """Return the robot and the options that select its arm, as words of another command."""
+    """Return the robot and the options that select its arm, as arguments of another command."""
     return [word, *(part for name, value in _chosen.items() for part in (f"--{name}", value))]
 
 
@@ -114,7 +114,7 @@ def simulated(word: str) -> Robot:
 
 
 def sim_url(robots: str, **options: object) -> str:
-    """Return the URL of simulated robots, whose names are joined by +; for a URDF, it includes the selected arm."""
+    """Return the URL of simulated robots, whose names are joined by +; for a URDF, with the selected arm."""
     query = urlencode({**_chosen, **options})
     return f"sim://{'+'.join(quote(word) for word in robots.split('+'))}{query and '?'}{query}"
 

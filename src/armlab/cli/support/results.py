@@ -26,7 +26,7 @@ class Results:
     """Output files and format.
 
     Attributes:
-        report: Also write a self-contained HTML page with tables and figures, .html; it loads nothing from the network.
+        report: Also write a self-contained .html page with tables and figures, which loads nothing from the network.
         figure: Also draw the result to this PNG, SVG or PDF file.
         json: Print JSON for scripts.
         force: Replace existing files, save a poor result, and accept a recording or model of another description of the
