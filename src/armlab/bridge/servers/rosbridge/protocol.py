@@ -47,7 +47,7 @@ def fields(type_: str) -> tuple[str, ...]:
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
-    """Return the "publish" operation of a message as JSON; ROS 1 headers get `seq`, and NaN and infinity become null."""
+    """Return the "publish" operation of a message as JSON; ROS 1 headers get `seq`, NaN and infinity become null."""
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 
 
