@@ -56,7 +56,7 @@ def test_labels_and_texts_of_other_tools(tmp_path: Path) -> None:
     table = read_csv(written(tmp_path, "t,mode,x\n0,auto,1\n1,,2\n2,manual,nan\n"))  # words make a text column
     assert table["mode"].tolist() == ["auto", "", "manual"]
     assert np.isnan(table["x"][2])
-    assert any("mode: text, because of 'auto'" in note for note in table.notes)
+    assert any("mode: read as text because of 'auto'" in note for note in table.notes)
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ def test_one_value_that_does_not_fit_does_not_cost_the_recording(tmp_path: Path,
     with pytest.warns(UserWarning, match="1 rows of T_frame_tool are missing"):
         table = read(recorder.path)
     assert table["mode"].tolist() == [1.0, 1.0, 0.5, 1.0, 1.0]
-    assert "mode: values do not match the kind count, stored as real" in table.notes
+    assert "mode: stored as real because values do not match the kind count" in table.notes
     assert table.missing()["T_frame_tool"] == (1, (3,))
 
 

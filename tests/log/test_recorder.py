@@ -85,7 +85,7 @@ def test_text_that_is_no_utf8_does_not_end_the_recording(
     held, escaped = inspect(recorder.path), r"caf\udce9"
     assert held.metadata["armlab"]["command"] == f"armlab run --log {escaped}"
     assert held.attachments[escaped] == b"data"
-    undeclared = f"not written, because not declared with extra=: 5, {escaped}"
+    undeclared = f"columns not written, because extra= does not declare them: 5, {escaped}"
     assert [event.text for event in held.events][1:3] == [undeclared, f"{escaped} was refused"]
 
 

@@ -256,7 +256,7 @@ def test_stored_values_have_the_type_of_their_kind(name: str, values: list, dtyp
     assert table[name].dtype.str == dtype
     if dtype == "<f8" and name == "late":
         assert table.columns[name].kind == "real"
-        assert table.notes == ("late: flag with missing values, stored as real",)
+        assert table.notes == ("late: stored as real because this flag column has missing values",)
 
 
 def test_a_name_that_is_no_column_of_the_glossary_takes_the_unit_that_is_given() -> None:

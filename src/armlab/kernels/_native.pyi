@@ -898,7 +898,7 @@ def following_error(
     kept: float,
     lag: float,
 ) -> tuple[np.ndarray, int, bool]:
-    """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and whether it is near.
+    """Return speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and whether it is near.
 
     The joint is near if ``|reference - q| <= allowed + lag * speeds``; all arrays are (n,).
     """

@@ -32,7 +32,7 @@ def recording_table(
     described = {name: replace(columns[name], shape=()) for name in present}
     for name, array in present.items():
         if not _fits(array, described[name].kind):  # one invalid value must not lose the recording
-            notes.append(f"{name}: values do not match the kind {described[name].kind}, stored as real")
+            notes.append(f"{name}: stored as real because values do not match the kind {described[name].kind}")
             described[name] = replace(described[name], kind="real")
     return Table(t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes))
 

@@ -99,7 +99,7 @@ def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, C
     described = resolved(replace(column or Column(), shape=raw.shape[1:]), name)
     note = ""
     if described.kind in ("count", "flag") and raw.dtype.kind == "f" and not np.isfinite(raw).all():
-        note = f"{name}: {described.kind} with missing values, stored as real"
+        note = f"{name}: stored as real because this {described.kind} column has missing values"
         described = replace(described, kind="real")
     return frozen(_cast(name, raw, described.kind or "real")), described, note
 
@@ -115,7 +115,10 @@ def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
     with np.errstate(invalid="ignore"):  # invalid values are rejected below
         cast = raw.astype(dtype)
     if kind in ("count", "flag") and not np.array_equal(cast, raw):
-        raise ShapeError(f"Expected integers that fit {dtype} in the column {name!r} of kind {kind}.")
+        raise ShapeError(
+            f"Expected integers that fit {dtype} in the column {name!r} of kind {kind}, "
+            "got fractional or out-of-range values."
+        )
     return cast
 
 

@@ -208,7 +208,7 @@ def text_table(
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
         for (name, _), of_one, array in zip(names, texts, found, strict=True):
             if array.dtype.kind == "U":
-                notes.append(f"{name}: text, because of {next(x for x in of_one if not _is_number(x))!r}")
+                notes.append(f"{name}: read as text because of {next(x for x in of_one if not _is_number(x))!r}")
     arrays = {name: (array, unit) for (name, unit), array in zip(names, found, strict=True)}
     return labelled_table(
         path,

@@ -269,7 +269,7 @@ class Recorder:
             row = self._pack(state, command, tick)
             if command is not None and not command.record.keys() <= self._known:
                 unknown = ", ".join(sorted(map(str, command.record.keys() - self._known)))
-                self._complain(f"not written, because not declared with extra=: {unknown}", tick)
+                self._complain(f"columns not written, because extra= does not declare them: {unknown}", tick)
         except Exception as error:  # any error: an invalid row must not stop the loop
             self._complain(f"row not written: {str(error) or type(error).__name__}", tick)
             return self._drop(tick)

@@ -26,22 +26,22 @@ from armlab.errors import LinkError, UnknownName
 from armlab.sim.events import MOTORS, RAPID, StateScript
 
 FAULTS = {
-    "version": "RobotWare 6.05",
+    "version": "the controller has RobotWare 6.05",
     "password": "the server expects a different password",
     "option": "Externally Guided Motion is not installed",
-    "manual": "manual mode",
+    "manual": "the controller is in manual mode",
     "emergency-stop": "the emergency stop is pressed",
     "guard-stop": "the safety gate is open",
     "motors": "the motors do not switch on",
     "mastership": "another program holds mastership",
-    "busy": "another program runs",
+    "busy": "another program is running",
     "main": "another module contains a procedure main",
     "module": "the guidance module is loaded with different content",
     "file": "the guidance module in the home folder has different content",
     "semantic": "RAPID refuses the module",
-    "device": "no UDP devices",
+    "device": "no UDP devices are configured",
     "address": "the UDP devices send to another computer",
-    "interface": "no external motion interface",
+    "interface": "no external motion interface is configured",
 }
 """Selectable faults of the controller, with descriptions."""
 
