@@ -33,7 +33,7 @@ class BaseParameters(Shown):
     ----------
     names : p names of the base parameters, with the combinations they represent.
     units : p units of the base parameters: kg, kg m or kg m^2.
-    kept : (p,) columns of the regressor [links (10 n), rotors (n)] that represent them.
+    kept : (p,) columns of the regressor [links (10 n), rotors (n)] that represent the base parameters.
     B : (p, 11 n) map from link parameters and rotors pi to base parameters, ``base = B @ pi``.
     lift : (11 n, p) map from base parameters to the minimum-norm pi with ``D pi = 0``.
     D : (n, 11 n) map from pi to the constant torque of each joint that is part of its offset.
@@ -60,7 +60,7 @@ class BaseParameters(Shown):
 
     @property
     def lower(self) -> np.ndarray:
-        """Lower bounds (p,): 0 for sums of masses, moments of inertia and rotors, -inf for the others."""
+        """Lower bounds (p,): 0 for sums of masses, moments of inertia and rotors, -inf for the other parameters."""
         n = self.B.shape[1] // 11
         positive = np.array([c >= 10 * n or c % 10 in POSITIVE for c in range(11 * n)])
         sums = np.all((self.B == 0) | ((self.B > 0) & positive), axis=1)

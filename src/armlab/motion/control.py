@@ -53,7 +53,7 @@ class Controller(ABC):
     It starts at rest from the measured position whenever a robot session begins. Time advances by the interval between
     packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is not made up later.
     The controller holds at the goal, because the goal may change. The run ends after a gap of more than 50 ms between
-    packets or a start position with NaN; `reason` states the cause.
+    packets, or if the start position contains NaN; `reason` states the cause.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Controller(ABC):
 
     @abstractmethod
     def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return q, qd and qdd of the reference before limits, and the path (n,); dt is 0 in the first call."""
+        """Return q, qd and qdd of the reference without limits, and the path (n,); dt is 0 in the first call."""
 
     @abstractmethod
     def _change_goal(self, g: np.ndarray) -> None:

@@ -22,7 +22,7 @@ Plant = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """``(t, ya, ya', ya_ref'') -> ya''`` of an arm with imperfect tracking."""
 FULL_SPEED = np.array([1.0, 1.0, 0.0])
 """Nominal speed of a control law: value at the beginning of a step, value at its end, and rate of change."""
-_SLACK = 1e-9  # fraction of a step: rounding of times
+_SLACK = 1e-9  # tolerance for rounding of times, as a fraction of a step
 
 
 @dataclass(frozen=True, repr=False)
@@ -109,7 +109,7 @@ class Displace(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoDofRun(Shown):
-    """Simulated or recorded run at N times; the values at an event time precede the event.
+    """Simulated or recorded run at N times; at the time of an event, the values are those before the event.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ def simulated(
 ) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
     """Return the states (N, 5 n + 2) of a control law at times t (N,) [s], and the disturbed intervals.
 
-    Steps are at most `longest` [s] and end at every event; at most one event may be a plant.
+    Steps are at most `longest` [s] long and end at every event; at most one event may be a plant.
     """
     scene = _EventSequence(events, law.n)
     edges = [edge for edge in scene.edges if t[0] < edge < t[-1]]

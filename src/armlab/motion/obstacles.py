@@ -86,7 +86,8 @@ class AvoidingDmp(Shown):
 
     Attributes
     ----------
-    dmp : primitive, or its fit, with a time-based phase; in two or three coordinates [m], or in the joints of `robot`.
+    dmp : primitive, or the result of `fit_dmp`, with a time-based phase. It has two or three coordinates [m], or the
+        joints of `robot`.
     obstacles : obstacles in the coordinates of the motion, or in base axes for a robot.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].

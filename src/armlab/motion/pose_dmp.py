@@ -431,7 +431,7 @@ MAX_ANGLE = 3.0  # rad from the goal: beyond half a turn, the shorter rotation r
 
 FINE = 1000  # minimum number of sensitivity steps over a duration
 MAX_ITERATIONS = 30
-TOLERANCE = 1e-9  # rad: smallest change, and smallest relative decrease of the sum of squares, to continue
+TOLERANCE = 1e-9  # rad: smallest change, and smallest relative decrease of the sum of squares, to iterate further
 PARTS = (1.0, 0.5, 0.2, 0.05)  # fractions of a step in the line search
 
 

@@ -482,7 +482,7 @@ def ruckig_pieces(
 
 
 def _states(joint: Any, q: float, qd: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (m,) at which the jerk of a joint changes, and q, qd, qdd, jerk (m, 4) from then on."""
+    """Return the times (m,) at which the jerk of a joint changes, and q, qd, qdd, jerk (m, 4) just after them."""
     parts = [*zip(joint.brake.t, joint.brake.j), *zip(joint.t, joint.j)]
     times, states, clock, qdd = [0.0], [], 0.0, 0.0
     for h, jerk in parts:

@@ -19,7 +19,7 @@ from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised
 from armlab.motion.storage import Saved, freeze_arrays
 
-UNLIKELY = 1e-6  # relative distance of a point beyond which the motions of the distribution cannot reach it
+UNLIKELY = 1e-6  # relative distance beyond which a point is outside the distribution
 
 SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance are fixed
 FLOOR = 1e-6  # fraction of the mean variance, used along directions without variation between demonstrations
@@ -152,7 +152,7 @@ class ProMP(Saved, kind="promp"):
     def _inside(self, t: float, duration: float | None) -> float:
         time, end = number(t, "t [s]"), self.duration if duration is None else positive(duration, "duration [s]")
         if not 0.0 <= time <= end * (1 + 1e-9):
-            raise ShapeError(f"Expected a time from 0 to the duration of {end:g} s, got {time:g} s. Correct the time.")
+            raise ShapeError(f"Expected a time from 0 to {end:g} s (the duration), got {time:g} s. Correct the time.")
         return time
 
     def condition(
@@ -169,7 +169,7 @@ class ProMP(Saved, kind="promp"):
         """Return the distribution conditioned on a position or velocity at a time.
 
         ``K = cov H^T (H cov H^T + R)^-1``, ``mean + K (z - H mean)``, ``cov - K H cov``. Without a covariance of the
-        point, all motions pass through it exactly, to the extent that the demonstrations vary there.
+        point, all motions pass through the point exactly, provided that the demonstrations vary there.
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ from armlab.motion.primitive.run import Rollout, RunOptions
 
 PEAK_STEPS = 4000  # samples over a duration in the search for peaks
 FINER = 20  # subdivisions of a step at the peak acceleration, which many kernels make too sharp for a parabola
-AFTER = 0.5  # fraction of the duration, for settling
+AFTER = 0.5  # settling time, as a fraction of the duration
 
 KNOTS = 2000  # knots of the clock rate over a duration
 MARGIN = 1e-6  # margin for the errors of parabolic interpolation between samples
@@ -102,7 +102,7 @@ def retimed(
 ) -> PacedDmp:
     """Return the motion on the same path, slowed down only where a limit requires it.
 
-    The path has the time-optimal parameterisation with a clock rate of at most 1 (that of the demonstration). The
+    The path has the time-optimal parameterisation with a clock rate of at most 1 (the rate of the demonstration). The
     motion never takes longer than with uniform slow-down to `shortest_duration`. Its acceleration is discontinuous, so
     the jerk is unbounded.
 
@@ -144,7 +144,7 @@ class PacedDmp(Shown):
     ----------
     dmp : the primitive.
     s : (M + 1,) times on the primitive's clock [s].
-    rate : (M + 1,) clock rate s' at these times; constant after the last.
+    rate : (M + 1,) clock rate s' at these times; constant after the last time.
     run : start, start velocity, goal and amplitude.
     t : (M + 1,) run times at which the clock reaches s [s].
     change : (M + 1,) derivative of the rate after each of these times [1/s].
@@ -218,7 +218,7 @@ class PacedDmp(Shown):
         return PacedStepper(self, {**self.run, **run})
 
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
-        """Return a controller ``State -> Command`` at this clock rate that starts at rest at the measured position.
+        """Return a controller ``State -> Command`` that runs at this clock rate, from rest at the measured position.
 
         The limits hold as planned if the arm is at the planned start. With a different start or goal, the path differs,
         but the clock rate stays the same, and the references are clipped to the limits of the controller
@@ -282,7 +282,7 @@ class PacedStepper:
         return self._inner.goal
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Change the goal at the same clock rate; the limits of the plan are no longer guaranteed."""
+        """Change the goal without changing the clock rate; the limits of the plan are no longer guaranteed."""
         self._inner.change_goal(g)
 
 

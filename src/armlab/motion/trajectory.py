@@ -22,7 +22,7 @@ Ending = Literal["", "arrived", "refused", "path", "goal", "interrupted"]
 
 MAX_GAP = 0.1  # longest time between two packets [s]
 GOAL_TIME = 2.0
-"""Default time after the last point to reach the goal [s]."""
+"""Default time allowed after the last point to reach the goal [s]."""
 
 _SENT = 1e-6  # largest distance between the last reference and the goal [rad or m]
 _REST = 1e-3  # largest speed at the last point [rad/s or m/s]
@@ -229,7 +229,7 @@ class JointTrajectory(Shown):
 
 
 class TrajectoryController:
-    """Runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
+    """Controller that runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
 
     The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends, and the
     arm comes to rest, if the arm leaves the path tolerance, if the packet stream is interrupted, or if the robot begins
@@ -239,7 +239,7 @@ class TrajectoryController:
     ----------
     ending : "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside that tolerance),
         or "interrupted".
-    reason : cause of a motion that ended without arriving.
+    reason : cause, if the motion ended without arriving.
     t : trajectory time [s].
     """
 
@@ -322,7 +322,7 @@ class TrajectoryController:
         return ""
 
     def __call__(self, state: State, dt: float | None = None) -> Command:
-        """Return the command for one packet; it stops the run when the motion has ended.
+        """Return the command for one packet; the command stops the run when the motion has ended.
 
         `dt` is the time since the last packet [s]; default: from the State.
         """

@@ -36,7 +36,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
 
     Attributes
     ----------
-    dmp : the primitive, or its fit.
+    dmp : the primitive, or the result of `fit_dmp`.
     kp, kv : position gain [1/s^2] and velocity gain [1/s].
     kc : gain of the slow-down.
     alpha_e : rate of the error filter [1/s].

@@ -151,7 +151,7 @@ class Equation:
 
     @cached_property
     def _primitive(self) -> Any:
-        """The `armlab.kernels.Primitive` of the weights."""
+        """The `armlab.kernels.Primitive` with the fitted weights."""
         return self._primitive_of(self.weights)
 
     def _primitive_of(self, weights: np.ndarray) -> Any:

@@ -56,7 +56,7 @@ def fit_dmp(
     ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` by central differences.
     "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``. For the last two methods,
     the covariance assumes white residuals of f, which does not hold in practice. Several demonstrations share the
-    weights, but each keeps its own duration and ends.
+    weights, but each demonstration keeps its own duration, start and goal.
 
     Parameters
     ----------

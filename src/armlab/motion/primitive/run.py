@@ -219,7 +219,7 @@ class Stepper:
     Parameters
     ----------
     run : the run, with start, goal and time.
-    goal_forcing : "shift" or "scale"; None: the default of the scaling.
+    goal_forcing : "shift" or "scale"; None: the default for the scaling.
     goal_rate : rate of the goal filter, times tau_d.
     brake : whether to brake in monotone coordinates.
     around : obstacles to avoid, as `armlab.kernels.Obstacles`.

@@ -45,7 +45,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class WeightProblem:
-    """A primitive without weights, demonstrations with scales, starts and goals (M, n), and options of `fit_dmp`.
+    """Primitive without weights; demonstrations with scales, starts and goals (M, n); options of `fit_dmp`.
 
     Start, velocity and goal, selected by name, are `pinned` to the samples, `known` (n,), or free.
     """
@@ -91,7 +91,7 @@ def learn(problem: WeightProblem) -> Learned:
 
 
 def _refined(problem: WeightProblem, learned: Learned) -> Learned:
-    """Refine the weights of a position phase by Gauss-Newton, starting from the regression."""
+    """Refine the weights for schedule "position" by Gauss-Newton steps, starting from the regression."""
     blank, demos = problem.blank, problem.demos
     roots = np.sqrt(np.concatenate([demo.weights for demo in demos]))
     y = np.concatenate([demo.y for demo in demos])
@@ -242,8 +242,8 @@ def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.
 def fit_regression(problem: WeightProblem, x: np.ndarray, f: np.ndarray, ends: np.ndarray) -> Learned:
     """Fit weights shared by demonstrations to their forcing f (N, n) at phases x (N,) or (N, n).
 
-    Least squares determine the weights or, with method "lwr", the mean weighted by each kernel: ``sum bell x f`` over
-    ``sum bell x^2``. The forcing has the factor x, except with schedule "time".
+    The weights are the least-squares solution or, with method "lwr", the mean weighted by each kernel: ``sum bell x f``
+    divided by ``sum bell x^2``. The forcing has the factor x, except with schedule "time".
     """
     blank, m, fades = problem.blank, problem.blank.n_basis, problem.blank.schedule != "time"
     fit = _kernel_by_kernel if problem.method == "lwr" else _least_squares

@@ -64,7 +64,7 @@ class Joint:
     ----------
     name : name of the joint.
     kind : "revolute", "continuous", "prismatic", "fixed", "floating" or "planar".
-    parent, child : names of the links that it connects.
+    parent, child : names of the connected links.
     T_parent_child : (4, 4) pose of the child, and of the joint, in the parent at q = 0.
     axis : (3,) direction of the axis in the child's frame, of any length.
     q_min, q_max : position limits [rad or m]; infinite without a limit, 0 where a required limit is missing.
@@ -103,7 +103,7 @@ class Mimic:
 
     Attributes
     ----------
-    names : the m free joints. Some may lie outside the chain.
+    names : the m free joints. Free joints may lie outside the chain.
     matrix : (n, m) multipliers.
     offset : (n,) offsets.
     """
@@ -144,7 +144,7 @@ class Tree:
     ----------
     name : name of the robot in the file.
     file : name of the file, for messages.
-    links, joints : in the order of the file.
+    links, joints : links and joints in the order of the file.
 
     Raises
     ------
@@ -231,7 +231,7 @@ class Tree:
         ----------
         base : name of the fixed link; default: the root.
         tip : name of the last link; required if several branches move.
-        name : name of the robot; default: that of the file.
+        name : name of the robot; default: the name in the file.
         lock : positions [rad or m] of locked joints, by name; the links behind these joints keep their mass.
 
         Raises
