@@ -36,8 +36,7 @@ def identify(
     """Identify gravity, inertia and friction from logs; save the model.
 
     Prints a table per joint, and a verdict with advice for the next log. A poor model is saved only with --force;
-    otherwise the command ends with status 3. If the logs do not determine the model, the command ends with status
-    1.
+    otherwise the command ends with status 3. If the logs do not determine the model, the status is 1.
 
     Parameters:
         robot: Name in the library, or a robot file.
