@@ -52,7 +52,7 @@ class Chain:
         """
 
     def forward_jacobian(self, q: Any, tool: bool = False, out: _Pair | None = None, threads: int = 1) -> _Pair:
-        """Return the results of `forward` (..., 4, 4) and `jacobian` (..., 6, n); `out` is such a pair."""
+        """Return the results of `forward` (..., 4, 4) and `jacobian` (..., 6, n); `out` is a pair of such arrays."""
 
     def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False, out: Any = None) -> np.ndarray:
         """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
@@ -145,7 +145,7 @@ class EgmMessages:
 
     Raises
     ------
-    ShapeError : a missing axis, or a wrong number of scales.
+    ShapeError : an axis is missing, or the number of scales is wrong.
     """
 
     def __init__(
@@ -870,7 +870,7 @@ def follow_path(
 def await_datagram(sockets: Sequence[int], poll_ns: int, end_ns: int) -> bool:
     """Wait without the interpreter lock until a socket is readable; return False at the end or after a signal.
 
-    Sleeps until `poll_ns`, then polls until `end_ns`, both on the monotonic clock.
+    The function sleeps until `poll_ns`, then polls until `end_ns`; both are times of the monotonic clock.
     """
 
 def filled(kind: Any, slots: tuple[Any, ...], values: tuple[Any, ...]) -> Any:

@@ -31,7 +31,7 @@ def recording_table(
     present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
     described = {name: replace(columns[name], shape=()) for name in present}
     for name, array in present.items():
-        if not _fits(array, described[name].kind):  # one invalid value must not lose the recording
+        if not _fits(array, described[name].kind):  # one invalid value must not make the recording unreadable
             notes.append(f"{name}: stored as real because values do not match the kind {described[name].kind}")
             described[name] = replace(described[name], kind="real")
     return Table(t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes))
@@ -123,6 +123,6 @@ def _absent(array: np.ndarray, column: Column) -> bool:
 
 
 def _used(padded: np.ndarray) -> np.ndarray:
-    """Return the columns up to the last one with a value."""
+    """Return the columns up to the last column that contains a value."""
     used = np.flatnonzero(~np.isnan(padded).all(axis=0))
     return padded[:, : used[-1] + 1 if len(used) else 1]

@@ -100,7 +100,8 @@ def read_cloud(path: str | Path) -> Cloud:
 
     Raises
     ------
-    LogError : not text, no rows, a row with a different number of columns, or NaN, with line and column.
+    LogError : the file is not text, has no rows, or has a row with NaN or with a different number of columns. The
+        message states line and column.
     """
     rows, stopped, comments = _rows(Path(path), 7)
     values = np.array(rows)
@@ -119,7 +120,8 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
 
     Raises
     ------
-    LogError : not text, no 4x4 matrix with the last row (0, 0, 0, 1), or a normal whose length is not near 1.
+    LogError : the file is not text, has no 4x4 matrix with the last row (0, 0, 0, 1), or has a normal whose length is
+        not near 1.
     """
     path = Path(path)
     rows, stopped, comments = _rows(path, 4)
@@ -148,10 +150,10 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
 
     Raises
     ------
-    LogError : not a MAT file, corrupt, not exactly one 4x4 array, not a pose, or a rotation block that is off by
-        more than 1e-5 without `project`.
+    LogError : the file is not a MAT file, is corrupt, or does not contain exactly one 4x4 array. Also if the array is
+        not a pose, or if its rotation block is off by more than 1e-5 without `project`.
     UnknownName : the variable does not exist.
-    MissingExtra : v7.3 without h5py.
+    MissingExtra : the file has version 7.3, and h5py is not installed.
     """
     path = Path(path)
     found = read_mat(path, name)

@@ -70,8 +70,8 @@ def read(
         and factor if needed, or a preset: ``"ur"`` (RTDE), ``"franka"`` (libfranka, franka_ros), ``"ros"`` (JointState
         as CSV), ``"abb"`` and, for seven joints, ``"abb7"`` (abb_libegm). Without a header, columns are given by
         position: ``"t=1,q={2..7}"``. Other columns keep their names.
-    robot : robot to select if the file holds several. For a log of another program: a robot or its name, which sets the
-        joint order of the table, or the first part of its topic names.
+    robot : robot to select if the file contains several robots. For a log of another program: a robot or its name,
+        which sets the joint order of the table, or the first part of its topic names.
     clock : for a log of another program, the topic whose timestamps define the rows; required if topics have different
         rates.
     raw : keep rows with non-increasing time.
@@ -83,10 +83,10 @@ def read(
 
     Raises
     ------
-    LogError : the file is missing, unreadable or in an unknown format. For logs of other programs: topics with
-        different rates (lists them); several arms; joints that do not match the robot's (lists both).
+    LogError : the file is missing, unreadable or in an unknown format. A log of another program has topics with
+        different rates, several arms, or joints that do not match those of the robot; the message lists them.
     MissingExtra : pyarrow or h5py is not installed.
-    UnknownName : a column, topic, preset or robot does not exist; lists the available ones.
+    UnknownName : a column, topic, preset or robot does not exist; the message lists the available names.
     ConfigError : clock= for a log with one clock, robot= for a file without robot names, or invalid columns=.
     """
     names = ColumnNames.of(columns) if isinstance(columns, str | Mapping) else None
@@ -202,7 +202,8 @@ def read_arm(
     Raises
     ------
     LogError : the log cannot be read, lacks positions or torques, or has joint names other than the robot's.
-    ModelMismatchError : a recording of another robot (lists the differences), or a different number of joints.
+    ModelMismatchError : the log is a recording of another robot (the message lists the differences), or has a different
+        number of joints.
     """
     path = Path(path)
     several = _is_of_several(path, robot, force)

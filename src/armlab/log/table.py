@@ -79,7 +79,7 @@ class Table:
     t : array, shape (N,), s
         Time; finite, strictly increasing, and near 0 at the first row of a recording.
     values : mapping
-        Arrays (N, ...) by name; ``table[name]`` returns one.
+        Arrays (N, ...) by name; ``table[name]`` returns one array.
     columns : mapping
         `Column` by name: shape of a row, unit, frame, labels, kind.
     t0_ns : int, ns
@@ -279,7 +279,7 @@ class Table:
         Raises
         ------
         ShapeError
-            A unit that is missing or contradicts the glossary, or a wrong length.
+            The unit is missing or contradicts the glossary, or the length is wrong.
         """
         columns = {**self.columns, name: Column(unit=unit, frame=frame, labels=labels, kind=kind)}
         return self._derived(f"with_column({name})", values={**self.values, name: values}, columns=columns)
@@ -336,7 +336,8 @@ class Table:
         Raises
         ------
         ShapeError
-            A lower rate (filter first), an absurdly high rate, a time outside the table, or fewer than two rows.
+            The rate is lower than that of the table (filter first) or absurdly high, a time is outside the table, or
+            the table has fewer than two rows.
         """
         if len(self) < 2:
             raise ShapeError(f"Expected at least two rows to resample, got {len(self)}.")
@@ -548,7 +549,7 @@ _SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the
 def concat(*tables: Table) -> Table:
     """Concatenate the rows of several tables on one clock; gaps between them remain.
 
-    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise their own t does.
+    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise, their own `t` does.
 
     Parameters
     ----------
@@ -558,7 +559,7 @@ def concat(*tables: Table) -> Table:
     Raises
     ------
     ShapeError
-        No tables, different columns, units or kinds, or a table that begins before the previous one ends.
+        There are no tables; columns, units or kinds differ; or a table begins before the previous table ends.
     """
     if not tables:
         raise ShapeError("Expected at least one table to concatenate, got none.")

@@ -160,7 +160,8 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : uneven times, an unattainable bandwidth, or a record shorter than the window.
+    ShapeError : the times are not evenly spaced, the bandwidth is unattainable, or the record is shorter than the
+        window.
 
     References
     ----------

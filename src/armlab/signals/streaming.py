@@ -59,8 +59,8 @@ class Operator:
 
         Raises
         ------
-        ShapeError : a shape that differs from the first sample, times that do not increase, or timestamps on some
-            samples only.
+        ShapeError : the shape differs from that of the first sample, times do not increase, or only some samples have
+            timestamps.
         """
         return self._kernel.step(x, t)
 

@@ -308,7 +308,7 @@ def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Join the blocks of a column; the result is integer if one block is and all values are whole."""
+    """Join the blocks of a column; the result is integer if any block is integer and all values are whole."""
     if any(part.dtype.kind == "i" for part in parts):
         whole = [_whole(part) for part in parts]
         parts = whole if all(part.dtype.kind == "i" for part in whole) else parts

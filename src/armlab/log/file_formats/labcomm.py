@@ -91,14 +91,14 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
     Parameters
     ----------
     path : file with definitions and values, in any self-describing dialect.
-    sample : name of the sample that defines the rows; default: the one with the most values.
+    sample : name of the sample that defines the rows; default: the sample with the most values.
     rate : sample rate [Hz] of this sample. Default: from a field t_us [us], tm [ms], t or time [s] of the sample.
     raw : keep rows with non-increasing time.
 
     Returns
     -------
-    Table : t = 0 at the first row. LabComm has no units: units of the bridge's own rows are known; other columns have
-        unit 1.
+    Table : t = 0 at the first row. LabComm streams contain no units. The units of the bridge's rows are known; other
+        columns have unit 1.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
         stream has no values, no clock or almost empty columns, or declares a sample twice (as numbers and texts, or
         with arrays of different dimensions).
     UnknownName : `sample` has no values; the message lists the samples with values.
-    ShapeError : `rate` is not one number.
+    ShapeError : `rate` is not a single number.
     """
     path = Path(path)
     if rate is not None and not 0.0 < number(rate, "the rate [Hz]") < np.inf:
@@ -206,7 +206,7 @@ def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def _column(leaf: _Leaf, rows: int) -> np.ndarray:
-    """Return the values (rows, ...) of a leaf, each held until the next; integers with gaps become real."""
+    """Return the values (rows, ...) of a leaf, each held until the next value; integers with gaps become real."""
     shape, axes = leaf.shape, len(leaf.shape)
     whole = leaf.rows[0] == 0 and all(value.shape == shape for value in leaf.values)
     if whole or leaf.dtype is np.str_:

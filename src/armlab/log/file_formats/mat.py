@@ -36,7 +36,7 @@ _CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
 _NUMERIC = range(6, 16)
 _CLASSES = range(1, 18)
 _COMPLEX = 0x0800
-_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; expansion ratio allowed beyond
+_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; otherwise, largest expansion ratio
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
@@ -182,9 +182,9 @@ def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]
 
     Raises
     ------
-    LogError : not a MAT file, truncated, or without arrays.
+    LogError : the file is not a MAT file, is truncated, or contains no arrays.
     UnknownName : the array does not exist.
-    MissingExtra : v7.3 without h5py.
+    MissingExtra : the file has version 7.3, and h5py is not installed.
     """
     path = Path(path)
     variables, _ = read_variables(path)

@@ -12,7 +12,7 @@ from armlab.errors import LogError
 
 _MAX_CHUNK = 1 << 31  # bytes, largest size of a valid chunk
 _MAX_OPEN = 1 << 28  # bytes, largest size of an unfinished chunk
-_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; expansion ratio allowed beyond (zstd: 15 000)
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; otherwise, largest expansion ratio (zstd: 15 000)
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 _of_thread = threading.local()

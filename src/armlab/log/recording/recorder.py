@@ -255,7 +255,7 @@ class Recorder:
         self.close()
 
     def row(self, state: State, command: Command | None, tick: Tick) -> bool:
-        """Queue one row; return False if dropped. Neither blocks (unless `wait`) nor raises.
+        """Queue one row; return False if it is dropped. This method never raises, and blocks only if `wait` is set.
 
         Parameters
         ----------
@@ -302,7 +302,7 @@ class Recorder:
 
         Parameters
         ----------
-        summary : stored in the file as summary.json, with the recorder's own counts.
+        summary : stored in the file as summary.json, together with the counts of the recorder.
         """
         if self._closed:
             return

@@ -329,7 +329,7 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
 
 
 def _line_up(arms: list[SplicedRows]) -> None:
-    """Convert the recordings of one robot to the clock of the first, and number their rows consecutively."""
+    """Convert the recordings of one robot to the clock of the first recording, and number the rows consecutively."""
     first, before = arms[0], arms[0]
     for arm in arms[1:]:
         if arm.robot_hash != first.robot_hash:
@@ -399,7 +399,7 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
                     f"Expected the same type, units and joint names on {channel.topic} in all recordings, but "
                     f"{source.path} differs from {where}."
                 )
-        for arm in source.arms:  # the column t, because its times may differ from those of the messages
+        for arm in source.arms:  # the column t is stored, because its times may differ from those of the messages
             topic = column_topic("t")
             pairs = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")})
             pairs |= clock_metadata(arm.t0_ns, arm.rows.clock)

@@ -477,8 +477,8 @@ def record(
 
     Raises
     ------
-    ConfigError : a jitter of half a period or more, which could reverse the order of the times.
-    ShapeError : a motion with the wrong number of joints, or a wrench of wrong shape.
+    ConfigError : the jitter is half a period or more, which could reverse the order of the times.
+    ShapeError : the motion has the wrong number of joints, or the wrench has a wrong shape.
     """
     from armlab.log import Table  # lazy: `armlab sim` starts without it
 
