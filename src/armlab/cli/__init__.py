@@ -39,7 +39,7 @@ _COMMANDS = {
         "Check the computer, the network and the robot before a run. Sends nothing to a robot.",
     ),
     "abb": ("abb:abb", "Set up, start and stop an ABB controller via Robot Web Services."),
-    "run": ("run:run", "Run your controller from a file against a robot; record a log."),
+    "run": ("run:run", "Run your controller from a file on a robot; record a log."),
     "play": ("run:play", "Run a joint trajectory from a file on a robot, or replay a log."),
     "record": ("record:record", "Record packets from robots, including during lead-through. Sends nothing."),
     "excite": ("excite:excite", "Design an excitation trajectory; run it and record a log."),

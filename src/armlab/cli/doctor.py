@@ -45,8 +45,8 @@ def doctor(
         port: UDP ports, separated by commas; default: 6510, 6511 and 6512, or the ports of `armlab record` for these
             robots.
         seconds: Listening time [s].
-        rws: Address of the ABB controller; like armlab abb status, the command then also reports why EGM is not
-            running.
+        rws: Address of the ABB controller. With this option, the command also reports why EGM is not running, like
+            armlab abb status.
         ca: File with the certificate of the controller or of its certificate authority.
     """
     from armlab.bridge.doctor.report import LONGEST, examine
@@ -63,7 +63,7 @@ def doctor(
 
 
 def _controller(host: str, ports: Sequence[int] | None, insecure: bool, ca: Path | None) -> list[Finding]:
-    """Return findings on the controller and on the tasks that send to these ports, or on all tasks if none does."""
+    """Return findings on the controller and on the tasks that send to these ports, or on all tasks if no task does."""
     from armlab.bridge.doctor.controller import controller_findings, known_tasks, port_findings, senders
     from armlab.bridge.doctor.machine import Finding
     from armlab.cli.abb import connected

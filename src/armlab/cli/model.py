@@ -69,7 +69,7 @@ def show(
 
 
 def poses_of(value: Any) -> dict[tuple[str, str], np.ndarray]:
-    """Return the poses T_a_b of a result by their frames (a, b)."""
+    """Return the poses T_a_b of a result, keyed by their frames (a, b)."""
     import numpy as np
 
     from armlab.models.sensors import FRAMES

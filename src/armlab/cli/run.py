@@ -208,7 +208,7 @@ def play(
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         speed: Allowed fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: play.mcap in the log folder.
-        force: Replay a log of another robot.
+        force: Allow the replay of a log of another robot.
     """
     from armlab.cli.dmp.playing import Walk, report_motion
     from armlab.cli.support.settings import load_settings, log_folder

@@ -125,7 +125,9 @@ def _mesh_folders(robots: Sequence[str], packages: Sequence[Path] | None) -> lis
 
     for folder in packages or ():
         if not folder.is_dir():
-            raise ConfigError(f"Expected --package-path with a folder, got {folder}. Pass the folder of packages.")
+            raise ConfigError(
+                f"Expected --package-path with a folder, got {folder}. Pass the folder that contains the packages."
+            )
     files = [path.resolve() for path in map(description, robots) if path is not None and path.is_file()]
     return [*(packages or ()), *(folder for file in files for folder in file.parents[:ABOVE]), Path()]
 

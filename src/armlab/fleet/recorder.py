@@ -186,7 +186,7 @@ class RobotRecord:
     late : number of rows dropped because an equal or newer tick had already been received.
     last : newest tick, -1 before the first row.
     paths : files so far.
-    failed : why the last file stopped, or None.
+    failed : reason why the last file stopped, or None.
     wants : whether rows wait for a description.
     """
 

@@ -236,7 +236,7 @@ class Lines(Markup):
 
 
 class ArmPanel:
-    """Text and plots of an arm in the current folder or tab. `limits`: limits of the y axis by name of the plot."""
+    """Text and plots of an arm in the current folder or tab. `limits`: limits of the y axis, by plot name."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}

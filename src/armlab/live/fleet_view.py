@@ -32,7 +32,7 @@ _LATE = 0.1  # s; longer overruns of a wait do not count as listening, because t
 
 
 class SeenRobot:
-    """State of a robot. Values are None, NaN or 0 until received from its bridge. Not thread-safe."""
+    """State of a robot. Values are None, NaN or 0 until its bridge sends them. Not thread-safe."""
 
     name: str
     wants: bool
@@ -115,7 +115,7 @@ class SeenRobot:
 
 
 class FleetRows:
-    """Newest rows of all robots at a router by lab/robot, at most thirty per second; absent robots are kept."""
+    """Newest rows of all robots at a router, keyed by lab/robot, at most thirty per second; absent robots are kept."""
 
     place: LabAddress
     robots: dict[str, SeenRobot]

@@ -131,7 +131,7 @@ class Running:
         for name, robot in self._described.items():
             if name not in found:
                 raise UnknownName.among("robot of this cell", name, found)
-            advice = "Give the description of the bridge, or omit --robot."
+            advice = "Give the bridge's description, or omit --robot."
             check_same(robot, f"the bridge of {self._cell}", name, found[name].hash, found[name], advice)
         found |= self._described
         shown = {name: robot for name, robot in found.items() if self._robot in (None, name)}

@@ -198,7 +198,7 @@ def read_arms(
         raise LogError("Expected at least one log to view, got no path. Pass the path of a recording.")
     for robot in waiting:
         shown = found[0][0]
-        check_same(robot, "a recording", shown.name, shown.hash, shown, f"Omit --robot {robot.name}.")
+        check_same(robot, "a recording", shown.name, shown.hash, shown, f"Omit --robot {robot.name}, or override with --force.")
     if not force:
         _check_models(known, [robot for robot, _, _ in found])
     start = _start([table for _, table, _ in found])
@@ -314,7 +314,7 @@ class Player:
     arms : sequence
         Recordings from `read_arms`.
     T_world_base : mapping, optional
-        Pose (4, 4) of each arm's base in the world by name of the arm; default: the identity.
+        Pose (4, 4) of each arm's base in the world, keyed by arm name; default: the identity.
     meshes : sequence of Path, optional
         Folders of the mesh files in the descriptions; default: the current folder.
 
@@ -372,7 +372,7 @@ class Player:
             self.playing, self._stale = False, True
 
     def seek(self, t: float) -> None:
-        """Go to a time of the log.
+        """Go to a time in the log.
 
         Parameters
         ----------

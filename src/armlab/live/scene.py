@@ -131,7 +131,7 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | No
         packages = any(file.startswith("package://") for file in missing)
         advice = " Pass the folder that contains the package with --package-path FOLDER." if packages else ""
         collada = any(file.lower().endswith(".dae") for file in missing) and find_spec("collada") is None
-        advice += " A .dae needs pycollada: pip install 'armlab[live]'." if collada else ""
+        advice += " A .dae file requires pycollada: pip install 'armlab[live]'." if collada else ""
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         said = f"Expected the meshes of {robot.name}, but cannot read {', '.join(missing[:5])}{more}"
         warnings.warn(f"{said}: capsules are drawn instead.{advice}", stacklevel=2)
@@ -249,9 +249,9 @@ class RobotScene:
     point is a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the
     ellipsoid at its tip is the 2-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
 
-    `T_world_base`: pose (4, 4) of each arm's base in the world by name; default: the identity. The mount is part of the
-    robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of a force arrow per force
-    [m/N], which takes effect at the next `show`.
+    `T_world_base`: pose (4, 4) of each arm's base in the world, keyed by arm name; default: the identity. The mount is
+    part of the robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of a force
+    arrow per force [m/N], which takes effect at the next `show`.
     """
 
     def __init__(

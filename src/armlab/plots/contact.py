@@ -24,7 +24,7 @@ _SHADE = "#B3B3B3"
 
 
 def wrench(table: Table, ax: Any = None) -> Figure:
-    """Draw the estimated wrench against time, one panel per axis, with 2-sigma bands and shaded contact.
+    """Draw the estimated wrench against time, one panel per axis, with 2-sigma bands; contact is shaded.
 
     The true wrench (`wrench_true`), the force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are drawn if
     the table contains them. All forces have the same scale, and so do all moments. The scales follow from the
@@ -66,7 +66,7 @@ def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
 
     Parameters
     ----------
-    tables : tables as in `wrench`, by name of the arm.
+    tables : tables as in `wrench`, keyed by arm name.
     ax : Axes (3, k) for k arms; default: a new figure.
 
     Raises

@@ -39,7 +39,7 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
     Parameters
     ----------
     fit : from `identify.fit_dynamics`.
-    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`; its rows are the points.
+    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`, drawn as points.
     ax : one Axes per joint; default: a new figure.
 
     Raises

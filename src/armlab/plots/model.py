@@ -124,7 +124,7 @@ def residual_speed(
     Parameters
     ----------
     table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`.
-    covariances : `models.torque.VelocityCovariance` by name.
+    covariances : `models.torque.VelocityCovariance` objects, keyed by name.
     joints : indices of the joints to draw, from 0; default: all joints.
     ax : one Axes per joint; default: a new figure.
 

@@ -200,7 +200,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
         point if this point is near; a `frames.Plane`, drawn as a patch with its normal; a circle or a sphere. All items
         must be in the same frame a. NaN leaves a gap.
     frames : length [m] of the named frames and of the frames along paths (at most 12 per path, evenly spaced). With 0,
-        paths have no frames, and named frames have a suitable length.
+        no frames are drawn along paths, and named frames get a suitable length.
     ax : three-dimensional Axes to draw into, for example from `robot`; default: a new figure.
 
     Raises
@@ -248,7 +248,7 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
     if wrong.size:
         raise ShapeError(
             f"Expected poses in {name}, got a matrix without a rotation at row {wrong[0]}. "
-            "Use lie.se3.project for a rounded rotation."
+            "Use lie.se3.project to correct a rounded rotation."
         )
     return T
 

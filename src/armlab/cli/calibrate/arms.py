@@ -190,7 +190,7 @@ def _seen(values: np.ndarray) -> np.ndarray:
 
 
 def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the available measurements and their masks by kind; complete measurements need no mask."""
+    """Return the available measurements and their masks, keyed by kind; complete measurements need no mask."""
     masks = {name: _seen(values) for name, values in measured.items()}
     there = {name: measured[name] for name, mask in masks.items() if mask.any()}
     return there, {name: masks[name] for name in there if not masks[name].all()}

@@ -406,7 +406,7 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     if far > _DEGREES:
         raise LogError(
             f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}. These seem to be degrees: write "
-            "the unit into the header: q1 [deg]."
+            "the unit into the header, such as q1 [deg]."
         )
     return armlab.kinematics.forward(arm, q)
 

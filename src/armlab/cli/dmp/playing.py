@@ -28,7 +28,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "pose_dmp": ("duration", "start", "goal"),
     "periodic_dmp": ("duration", "goal", "amplitude", "turns"),
 }
-"""Options of a run by kind of primitive."""
+"""Run options of each kind of primitive."""
 DT = 0.004  # s
 SOFT = 2.0  # rad/s^2 or m/s^2, acceleration of the motion to the start
 SETTLES = 1.0  # s, settling time after the motion

@@ -25,7 +25,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "periodic": ("basis", "period", "robot"),
     "promp": ("basis", "robot"),
 }
-"""Options of `armlab dmp fit` by kind of primitive."""
+"""Options of `armlab dmp fit` for each kind of primitive."""
 POSES = "T_base_tool"
 MOVES = 0.02  # slowest motion, relative to the largest speed
 STILL = 2e-3  # rad/s or m/s, velocity noise at rest
@@ -101,7 +101,7 @@ def read_demonstration(
     elif kind == "pose" and not columns and POSES not in table:
         raise ConfigError(
             f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "
-            "Add --robot NAME to compute them from q, or give their --column."
+            "Add --robot NAME to compute the poses from q, or select their column with --column."
         )
     names = columns or ((POSES,) if kind == "pose" else ("q",))
     start = -np.inf if window.start is None else window.start

@@ -180,6 +180,6 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
     if name is None:
         raise LogError(
             f"Expected poses of the tool in {path}, column {' or '.join(POSES)}, got {', '.join(table.names)}. "
-            "Add --robot NAME to compute them from q, or give their --column."
+            "Add --robot NAME to compute the poses from q, or select their column with --column."
         )
     return table[name]

@@ -100,7 +100,7 @@ def check_log(path: Path, whose: Robot | TorqueModel, force: bool = False) -> No
 
 
 def _recorded(held: Inspection) -> dict[str, str]:
-    """Return the robots of a recording by name, with their hashes."""
+    """Return the robot hashes of a recording, keyed by robot name."""
     return {pairs["robot"]: pairs.get("robot_hash", "") for pairs in held.metadata.values() if pairs.get("robot")}
 
 

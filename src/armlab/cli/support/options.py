@@ -114,7 +114,7 @@ def simulated(word: str) -> Robot:
 
 
 def sim_url(robots: str, **options: object) -> str:
-    """Return the URL of simulated robots, whose names are joined by +; for a URDF, with the selected arm."""
+    """Return the URL of simulated robots, with names joined by + and, for a URDF, the selected arm."""
     query = urlencode({**_chosen, **options})
     return f"sim://{'+'.join(quote(word) for word in robots.split('+'))}{query and '?'}{query}"
 

@@ -38,7 +38,7 @@ class UserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ----------
     cell : cell file of `armlab bridge`.
     logs : folder of automatically named recordings.
-    ports : UDP port by name of the robot.
+    ports : UDP ports, keyed by robot name.
     speed : fraction of a robot's speed and acceleration limits, in (0, 1].
     wait : method of waiting for packets.
     """
@@ -55,7 +55,7 @@ class LoadedSettings:
     """Effective settings and their origins."""
 
     settings: UserSettings
-    origins: Mapping[str, str]  # file, variable or "default", by name of the setting
+    origins: Mapping[str, str]  # file, variable or "default", keyed by setting name
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
