@@ -83,7 +83,7 @@ class _Board:
         if kind == "checkerboard" and (min(board.columns, board.rows) < 3 or (board.columns + board.rows) % 2 == 0):
             raise ConfigError(
                 "Expected at least 3x3 inner corners, with an even number along one side and an odd number along the "
-                f"other, got {text!r}, which looks the same upside down. Use a different board, or charuco."
+                f"other, got {text!r}. This board looks the same upside down. Use a different size, or a ChArUco board."
             )
         return board
 

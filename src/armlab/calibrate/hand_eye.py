@@ -144,7 +144,7 @@ def equation_of(
     N = len(RA)
     of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
     if of_camera is not None and not np.all(np.diagonal(full(of_camera), axis1=-2, axis2=-1) > 0):
-        raise ShapeError("Expected noise above zero, got zero. Omit it to estimate the noise.")
+        raise ShapeError("Expected noise above zero, got zero. Omit noise to estimate the standard deviations.")
     RA, tA, of_robot = robot_side(RA, tA, of_robot, setup)
     return HandEyeEquation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
 

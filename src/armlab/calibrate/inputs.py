@@ -116,6 +116,6 @@ def noise_of(
     even = np.abs(values - np.swapaxes(values, -1, -2)).max() <= 1e-9 * size
     if not even or np.linalg.eigvalsh(values).min() < -1e-12 * size:
         raise ShapeError(
-            f"Expected symmetric, positive semidefinite covariances in {name}, got invalid matrices. Correct them."
+            f"Expected symmetric, positive semidefinite covariances in {name}, got other matrices. Correct {name}."
         )
     return values

@@ -161,7 +161,7 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
         if len(bad):
             raise ShapeError(
                 "Expected unit directions in columns 3 and 4 of scans, got directions of other lengths in rows "
-                f"{rows_text(bad)}. Normalise them."
+                f"{rows_text(bad)}. Normalise the directions."
             )
         return values[:, :2], values[:, 2:] / lengths[:, None], None, np.arange(N)
     profiles = [numbers(one, f"profile {i}", ShapeError) for i, one in enumerate(scans)]
@@ -175,7 +175,7 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
     short = np.array([i for i, one in enumerate(profiles) if len(one) < 2 or not np.ptp(one, axis=0).any()], dtype=int)
     if len(short):
         raise ShapeError(
-            f"Expected profiles with at least two points, got fewer in rows {rows_text(short)}. Drop them."
+            f"Expected profiles with at least two points, got fewer in rows {rows_text(short)}. Drop these profiles."
         )
     p = np.array([one.mean(axis=0) for one in profiles])
     shapes = [np.linalg.svd(one - middle, full_matrices=False) for one, middle in zip(profiles, p)]

@@ -25,7 +25,7 @@ from armlab._numbers import make_read_only, number, numbers
 from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.log import Table
-from armlab.models.torque import PRIOR
+from armlab.models.uncertainty import PRIOR
 from armlab.robots import Robot
 
 DECISIVE = 3.0  # log Bayes factor

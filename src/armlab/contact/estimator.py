@@ -47,7 +47,7 @@ from armlab.log import Table
 from armlab.log.units_check import check_known
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import Friction, FrictionBound
-from armlab.models.torque import FORCE_RATES, PRIOR
+from armlab.models.uncertainty import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 from armlab.state import State
@@ -470,7 +470,7 @@ class Estimator:
         if get_ident() in self._earlier:
             raise ConcurrentUse(
                 "Expected one thread at a time to use an Estimator, got samples from two alternating threads. Create "
-                "one per thread; to hand it over to another thread, call reset() in between."
+                "one estimator per thread, or call reset() before another thread takes over."
             )
         self._thread = get_ident()
 
@@ -541,7 +541,7 @@ def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[n
         return rate, None
     leaks = numbers(leak, "the leak [1/s]", ShapeError)
     if leaks.shape not in ((), (6,)) or not np.all(np.isfinite(leaks)) or not np.all(leaks >= 0):
-        raise ShapeError(f"Expected a leak of one or six numbers of at least 0 [1/s], got {leak!r}. Correct it.")
+        raise ShapeError(f"Expected a leak of one or six numbers of at least 0 [1/s], got {leak!r}. Correct the leak.")
     return rate, np.array(np.broadcast_to(leaks, 6))
 
 

@@ -160,7 +160,7 @@ def _checked(A: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     bad = np.flatnonzero(~(np.isfinite(A).all(axis=1) & np.isfinite(y)))
     if len(bad):
         shown = ", ".join(str(i) for i in bad[:10]) + (" and more" if len(bad) > 10 else "")
-        raise ShapeError(f"Expected finite rows, got NaN or Inf in rows {shown}. Drop them.")
+        raise ShapeError(f"Expected finite rows, got NaN or Inf in rows {shown}. Drop these rows.")
     return A, y
 
 

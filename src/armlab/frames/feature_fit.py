@@ -75,7 +75,7 @@ def upward(
 ) -> np.ndarray:
     """Return n or -n, as given by a hint, or pointing away from the origin; `reach` is the SD of the offset [m]."""
     if toward is not None and normal is not None:
-        raise ShapeError("Expected toward= or normal=, got both. Omit one.")
+        raise ShapeError("Expected toward= or normal=, got both. Omit one of these arguments.")
     if normal is not None:
         side, least = float(n @ inputs.direction(normal, "normal")), 1e-6
     elif toward is not None:

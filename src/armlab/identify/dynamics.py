@@ -199,7 +199,7 @@ def _check_slow(data: Record, robot: Robot) -> None:
     if len(fast):
         listed = ", ".join(f"{robot.joint_names[i]} ({acceleration[i]:.2g})" for i in fast)
         raise ShapeError(
-            f"Expected slow motion with accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}; inertia "
+            f"Expected slow motion with accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}. Inertia "
             "would be fitted as gravity. Use fit_dynamics for this log, or record a slower motion."
         )
 
@@ -303,7 +303,7 @@ class FitSettings:
         if corner > most:
             raise ShapeError(
                 f"Expected a cut-off of at most {most:.4g} Hz, a quarter of the sampling rate, got {corner:g} Hz. "
-                "Lower it, or omit it to select one by cross-validation."
+                "Lower cutoff, or omit it to select a cut-off by cross-validation."
             )
         return corner
 

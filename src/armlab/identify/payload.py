@@ -231,7 +231,7 @@ def _shift(data: Record, other: Record) -> int:
     """Return the lag (rows) of the record without the load behind the other record; raise if the motions differ."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
-            f"Expected one log with the load and one without it, with equal rates and without gaps, got "
+            f"Expected one log with the load and one without, at equal rates and without gaps, got "
             f"{len(data.segments)} and {len(other.segments)} segments at {data.rate:.4g} and {other.rate:.4g} Hz. "
             "Record both logs again, or omit the log without the load."
         )

@@ -283,7 +283,7 @@ def _in_pieces(edges: list[int]) -> ShapeError:
     return ShapeError(
         f"Expected segments of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
         f"{len(edges) - 2} gaps in {edges[-1]} rows, the longest segment with {int(np.diff(edges).max())} samples. "
-        "Record again."
+        "Record the log again."
     )
 
 

@@ -42,7 +42,8 @@ from armlab.identify.friction_structure import (
 )
 from armlab.identify.record import ORDER, Decimation, Record, slow_enough
 from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
-from armlab.models.torque import CoupledMotors, ParameterCovariance
+from armlab.models.torque import CoupledMotors
+from armlab.models.uncertainty import ParameterCovariance
 from armlab.robots import Robot
 
 # Filtered and decimated columns of the regression for joint torque.

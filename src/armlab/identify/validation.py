@@ -18,7 +18,8 @@ from armlab.identify.record import Record, check_finite, resting, torque_outlier
 from armlab.identify.residuals import thermal_state_at
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
-from armlab.models.torque import FORCE_RATES, PRIOR, SPEED_EDGES, MomentumNoise, Training, VelocityCovariance
+from armlab.models.torque import SPEED_EDGES, Training
+from armlab.models.uncertainty import FORCE_RATES, PRIOR, MomentumNoise, VelocityCovariance
 
 FIFTHS, STRETCHES = 5, 20
 
@@ -193,7 +194,7 @@ def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
         listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
         raise NotExcited(
             f"Expected every joint to slide beyond its presliding distance in at least {2 * FEWEST} rows, evenly over "
-            f"the log, got less for {listed}, so errors in motion cannot be assessed. Let these joints move further "
+            f"the log, got fewer for {listed}, so errors in motion cannot be assessed. Let these joints move further "
             "between reversals.",
             names,
             spread,

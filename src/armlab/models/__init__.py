@@ -4,16 +4,8 @@ from armlab.models.files import load, register, save
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp
 from armlab.models.kinematic_correction import DualArmCorrection, KinematicCorrection
 from armlab.models.sensors import Accelerometer, ForceSensor, HandEye, LaserSensor
-from armlab.models.torque import (
-    CoupledMotors,
-    MomentumNoise,
-    ParameterCovariance,
-    Payload,
-    Quality,
-    TorqueModel,
-    VelocityCovariance,
-    velocity_covariance,
-)
+from armlab.models.torque import CoupledMotors, Payload, Quality, TorqueModel
+from armlab.models.uncertainty import MomentumNoise, ParameterCovariance, VelocityCovariance, velocity_covariance
 from armlab.robots import Mesh, Robot
 
 __all__ = [

@@ -23,7 +23,8 @@ import armlab
 from armlab._files import TomlError, parsed, whole_file
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, FrictionBound, Ripple
-from armlab.models.torque import SIGN, Quality, TorqueModel, Training, VelocityCovariance
+from armlab.models.torque import SIGN, Quality, TorqueModel, Training
+from armlab.models.uncertainty import VelocityCovariance
 
 # Generic format: any registered frozen dataclass of numbers, strings and arrays.
 #

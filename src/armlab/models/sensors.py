@@ -241,7 +241,9 @@ class LaserSensor(Shown):
         freeze_arrays(self, "a laser sensor", {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)})
         _restore_digits(self, "T_tool_sensor")
         if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max(initial=0.0) > 1e-9:
-            raise ShapeError("Expected unit normals for a laser sensor's planes, got other vectors. Normalise them.")
+            raise ShapeError(
+                "Expected unit normals for a laser sensor's planes, got other vectors. Normalise the normals."
+            )
 
     def points(self, p: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
         """Return points (..., 3) in base axes.

@@ -17,202 +17,13 @@ from typing import Any
 import numpy as np
 
 from armlab._display import Shown, html_table
-from armlab._numbers import check_name, numbers, still
+from armlab._numbers import still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, RigidBody, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, Ripple, RippleLines, WarmUp, freeze_arrays
+from armlab.models.uncertainty import KINDS, OF_FRICTION, MomentumNoise, ParameterCovariance, VelocityCovariance
 from armlab.robots import Robot, inertia
 from armlab.robots.comparison import check_same
-
-# Noise: torque covariance over velocity, and the noise of momentum estimators.
-#
-#     exponential:  s_i^2(qd) = (C0_i - Cinf_i) exp(-rate_i |qd_i|) + Cinf_i
-#     step:         s_i^2(qd) = C0_i where |qd_i| < threshold_i, else Cinf_i
-
-
-KINDS = ("exp", "step", "const")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class VelocityCovariance(Shown):
-    """Diagonal torque covariance as a function of joint velocity.
-
-    Attributes
-    ----------
-    kind : {"exp", "step", "const"}
-        Type of dependence on speed.
-    C0 : array, shape (n,), (N m)^2
-        Variance at rest; at least `Cinf`.
-    Cinf : array, shape (n,), (N m)^2
-        Variance at high speed; above 0.
-    shape : array, shape (n,), s/rad or rad/s
-        "exp": decay rate [s/rad]; "step": threshold speed [rad/s]; "const": zeros.
-    alpha2 : float
-        Factor on both variances, chosen such that 2-sigma intervals cover 95.4 % of held-out data.
-    """
-
-    kind: str
-    C0: np.ndarray
-    Cinf: np.ndarray
-    shape: np.ndarray
-    alpha2: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_name(self.kind, "covariance kind", KINDS)
-        for name in ("C0", "Cinf", "shape"):
-            values = still(getattr(self, name), f"{name} of a covariance")
-            object.__setattr__(self, name, values)
-            if not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct the values.")
-        if np.any(self.shape < 0) or not 0 < self.alpha2 < np.inf:
-            raise ShapeError(
-                "Expected a decay rate or threshold of at least zero and a finite alpha2 above zero, got other values "
-                f"or alpha2 {self.alpha2:g}. Correct it."
-            )
-        regular = self.C0.ndim == 1 and self.C0.shape == self.Cinf.shape == self.shape.shape
-        if not regular or not np.all(self.Cinf > 0) or not np.all(self.Cinf <= self.C0):
-            raise ShapeError(
-                f"Expected C0 >= Cinf > 0, both of shape (n,) in (N m)^2, got shapes {self.C0.shape} and "
-                f"{self.Cinf.shape}. Pass variances, one per joint."
-            )
-
-    def variance(self, qd: np.ndarray) -> np.ndarray:
-        """Return s^2 (..., n) [(N m)^2] at `qd` (..., n) [rad/s]."""
-        speed = np.abs(np.asarray(qd, dtype=float))
-        if self.kind == "exp":
-            weight = np.exp(-self.shape * speed)
-        elif self.kind == "step":
-            weight = (speed < self.shape).astype(float)
-        else:
-            weight = np.zeros_like(speed)
-        return self.alpha2 * ((self.C0 - self.Cinf) * weight + self.Cinf)
-
-
-def velocity_covariance(
-    kind: str, C0: np.ndarray, Cinf: np.ndarray, shape: np.ndarray | None = None, alpha2: float = 1.0
-) -> VelocityCovariance:
-    """Return a torque covariance as a function of velocity.
-
-    Parameters
-    ----------
-    kind : "exp", "step" or "const".
-    C0, Cinf : (n,) variance at rest and at high speed [(N m)^2].
-    shape : (n,) decay rate [s/rad] or threshold [rad/s]; not used by "const".
-    alpha2 : common factor.
-
-    Raises
-    ------
-    UnknownName : unknown `kind`.
-    ShapeError : if C0 >= Cinf > 0 does not hold, or a number is not finite.
-    """
-    zeros = np.zeros_like(numbers(C0, "C0 of a covariance", ShapeError))
-    return VelocityCovariance(kind, C0, Cinf, zeros if shape is None else shape, alpha2)
-
-
-# Noise of torques and velocities for the momentum estimators of the contact wrench.
-
-
-PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)
-"""Prior standard deviations of a contact wrench before any measurement [N, N m]."""
-FORCE_RATES = {
-    "smooth": (2.0, 2.0, 2.0, 0.2, 0.2, 0.2),
-    "normal": (5.0, 5.0, 5.0, 0.5, 0.5, 0.5),
-    "fast": (20.0, 20.0, 20.0, 2.0, 2.0, 2.0),
-}
-"""Random-walk intensity of a contact wrench by name [N/sqrt(s), N m/sqrt(s)]."""
-
-
-@dataclass(frozen=True, eq=False)
-class MomentumNoise:
-    """Noise of torque and velocity for the momentum estimators.
-
-    `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
-    standard deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque
-    covariance for a 2-sigma coverage of 95.4 % on held-out data. The first refers to the observer's residual. The
-    second refers to the Kalman filter's wrench after a known wrench is added to the torques, and is at least 1.
-    """
-
-    memory: np.ndarray
-    qd_noise: np.ndarray
-    alpha2_observer: float = 1.0
-    alpha2_kf: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in ("memory", "qd_noise"):
-            values = still(getattr(self, name), f"{name} of the momentum noise")
-            object.__setattr__(self, name, values)
-        memory, noise = self.memory, self.qd_noise
-        regular = memory.ndim == 1 and memory.shape == noise.shape and np.isfinite([memory, noise]).all()
-        factors = (self.alpha2_observer, self.alpha2_kf)
-        if not regular or np.any(memory <= 0) or np.any(noise < 0) or not all(0 < a < np.inf for a in factors):
-            raise ShapeError(
-                "Expected memory > 0 and qd_noise >= 0, finite and both of shape (n,), and positive factors, got "
-                f"shapes {memory.shape} and {noise.shape}, factors {factors}. Pass one number per joint."
-            )
-
-
-# Covariance of the parameters, whose effect on the torque grows with the distance of a motion from the identified one:
-#
-#     var(tau_i) = w_i C w_i^T,   w_i the row of the regressor and of the friction of joint i
-
-
-OF_FRICTION = 7  # parameters per joint
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterCovariance:
-    """Covariance of the identified parameters for given gains, including drift until the next log.
-
-    The estimator adds its torque variance beyond the `mean` (n,) [(N m)^2] on the identified motion, which the torque
-    covariance contains. `columns`: (P,) column of each parameter among those of the links (10 n), of the rotors (n),
-    and of the friction of each joint (7 n): viscous, Coulomb of either direction, offset, Stribeck, root, load.
-    `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
-    """
-
-    columns: np.ndarray
-    lower: np.ndarray
-    mean: np.ndarray
-
-    def __post_init__(self) -> None:
-        columns, lower = still(self.columns, "parameter columns"), still(self.lower, "a parameter covariance")
-        mean, P = still(self.mean, "torque variances"), columns.size
-        if not np.all((mean >= 0) & (mean < np.inf)) or mean.ndim != 1:
-            raise ShapeError(
-                "Expected finite torque variances >= 0, one per joint, got other values. Identify the model again."
-            )
-        if columns.shape != (P,) or lower.shape != (P * (P + 1) // 2,) or not np.isfinite(lower).all():
-            raise ShapeError(
-                f"Expected P columns and P (P + 1) / 2 finite numbers of their covariance, got shapes {columns.shape} "
-                f"and {lower.shape}. Identify the model again."
-            )
-        object.__setattr__(self, "columns", columns)
-        object.__setattr__(self, "lower", lower)
-        object.__setattr__(self, "mean", mean)
-
-    @property
-    def cov(self) -> np.ndarray:
-        """Covariance (P, P)."""
-        half = np.zeros((self.columns.size,) * 2)
-        half[np.tril_indices(len(half))] = self.lower
-        return half + np.tril(half, -1).T
-
-    def kernel_rows(self, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale` multiplies links."""
-        n = len(self.mean)
-        columns, cov = self.columns.astype(int), self.cov
-        weight = np.where(columns < 10 * n, scale, 1.0)
-        cov = cov * np.outer(weight, weight)
-        links, drives = columns < 10 * n, columns >= 11 * n
-        owner = np.where(links, columns // 10, np.where(drives, (columns - 11 * n) // OF_FRICTION, columns - 10 * n))
-        kept = [np.flatnonzero(np.where(links, owner >= i, owner == i)) for i in range(n)]
-        width = max(map(len, kept))
-        where, blocks = np.full((n, width), -1.0), np.zeros((n, width, width))
-        for i, own in enumerate(kept):
-            size = len(own)
-            where[i, :size] = np.where(drives[own], 11 * n + (columns[own] - 11 * n) % OF_FRICTION, columns[own])
-            blocks[i, :size, :size] = cov[np.ix_(own, own)]
-        return where, blocks, self.mean
-
 
 # Motors that move several joints, as in wrists: their inertia and friction act on all of them.
 #
@@ -511,8 +322,8 @@ class TorqueModel(Shown):
         if self.quasi_static or len(silent):
             lacks = f"the torque of joint {silent[0] + 1}" if len(silent) else "inertias"
             raise ModelMismatchError(
-                f"Expected a model with all inertias of robot {self.robot_name!r}, got one without {lacks}. Identify "
-                "with fit_dynamics and all torques; dynamics.gravity also accepts a model from fit_gravity."
+                f"Expected a model with all inertias of robot {self.robot_name!r}, got a model without {lacks}. "
+                "Use fit_dynamics with all torques; dynamics.gravity also accepts a model from fit_gravity."
             )
         coupled = 0.0 if self.coupled is None else self.coupled.inertial(np.eye(self.n))
         return RigidBody(self.chain, self.gravity, self.link_parameters, np.diag(self.rotor) + coupled)
@@ -764,7 +575,7 @@ class Payload(Shown):
         """
         if model.robot_hash != self.robot_hash:
             raise ModelMismatchError(
-                f"Expected a model of robot {self.robot_name!r} ({self.robot_hash[:12]}), got one of "
+                f"Expected a model of robot {self.robot_name!r} ({self.robot_hash[:12]}), got a model of "
                 f"{model.robot_name!r} ({model.robot_hash[:12]}). Repeat the payload identification with this robot."
             )
         links = model.link_parameters.copy()

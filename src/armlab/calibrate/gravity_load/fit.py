@@ -104,7 +104,7 @@ def fit_force_sensor(
     if mass is not None and (pull is None or not 0.0 < float(numbers(mass, "mass", ShapeError)) < np.inf):
         raise ShapeError(
             f"Expected a mass > 0 kg together with known gravity, got {mass!r} with gravity {gravity!r}. "
-            "Omit one of them."
+            "Omit the mass, or pass the known gravity."
         )
     known = None if mass is None else float(mass)
     classes, groups = CLASSES[: y.shape[1]], y.shape[1] // 3

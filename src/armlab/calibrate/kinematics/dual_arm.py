@@ -111,7 +111,9 @@ def fit_dual_arm(
     if absolute_a is not None:
         kinds += measured_kinds(len(q_a), {"pose": absolute_a}, None, noise_absolute)[0]
         if (noise is None) != (noise_absolute is None):
-            raise ConfigError("Expected noise and noise_absolute together, got only one. Pass both or neither.")
+            raise ConfigError(
+                "Expected noise and noise_absolute together, got only one of these. Pass both or omit both."
+            )
     held = length_angle(prior, "prior") if weak == "prior" else None
     problem = DualProblem(a, b, tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
     used = np.concatenate([a.existing, b.existing, np.ones(6, dtype=bool)])
@@ -135,12 +137,16 @@ def _measured(
     """Return the relative measurement and an initial guess of T_basea_baseb."""
     if (pose is None) == (position is None) and not (closed and position is None):
         raise ConfigError(
-            "Expected either the pose or the position of b's tool relative to a's tool, got both or neither. Pass one."
+            "Expected either the pose or the position of b's tool relative to a's tool, got both or neither. "
+            "Pass exactly one."
         )
     T_a, T_b = (arm.move(arm.first())[:, -1] for arm in (a, b))
     if closed:
         if position is not None:
-            raise ConfigError("Expected no position for a closed chain, got position=. Pass pose= (4, 4), or neither.")
+            raise ConfigError(
+                "Expected no position for a closed chain, got position=. Omit position=, and pass pose= (4, 4) if "
+                "the pose is known."
+            )
         if pose is None:  # Z of T_b = T_basea_baseb^-1 T_a Z
             pose = se3.from_rp(*hand_eye(T_a, T_b)[:2])
         pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
