@@ -204,7 +204,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     ("speed_deg = 100", "speed_deg = -1", "Expected a positive speed limit at joint 1"),
     ("speed_deg = 100", "home_deg = 100", "Expected a home position inside the limits at joint 1"),
     ("alpha_deg = 90", "alhpa_deg = 90", r"unknown field `alhpa_deg` - at `\$\.joint\[0\]`"),
-    ("alpha_deg = 90", "alpha_deg = 90, alpha = 1.5", "one of alpha and alpha_deg, got both in 'shoulder'"),
+    ("alpha_deg = 90", "alpha_deg = 90, alpha = 1.5", "either alpha or alpha_deg, got both in 'shoulder'"),
     ("alpha_deg = 90", 'alpha_deg = "90"', r"Expected `float`, got `str` - at `\$\.joint\[0\]\.alpha_deg`"),
     ("limits_deg = [-90, 90]", "limits_deg = [-90]", r"of length 2, got 1 - at `\$\.joint\[0\]\.limits_deg`"),
     ("limits_deg = [-90, 90]", 'limits_deg = ["a", 90]', r"got `str` - at `\$\.joint\[0\]\.limits_deg\[0\]`"),
@@ -240,7 +240,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     ("joint = [", "joint = ", "Expected a robot file in"),
     ('name = "mine"',
      'name = "mine"\ntool = { quaternion = [1, 0, 0, 0], rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }',
-     "Expected quaternion or rotation in tool, got both"),
+     "Expected either quaternion or rotation in tool, got both"),
 ])  # fmt: skip
 def test_a_bad_file_is_one_sentence_with_its_path(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     assert old in MINIMAL

@@ -270,7 +270,7 @@ def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
         (RobotError, r"Expected a URDF, got arm\.urdf\.xacro\. Expand it first: xacro arm",
          lambda: robots.load("arm.urdf.xacro")),
         # the structure is checked wherever a tree comes from
-        (RobotError, "the child of joint 'left_mount' among the links",
+        (RobotError, "the child of joint 'left_mount' to be one of the links",
          lambda: replace(tree, links=[link for link in tree.links if link.name != "left_base"])),
         (RobotError, r"Expected text that XML can represent in robot 'a\\x00b', got 'a\\x00b'",
          lambda: robots.save(replace(robots.load("dh_test"), name="a\0b"), tmp_path / "b.urdf")),
@@ -305,7 +305,7 @@ def test_a_rotation_may_be_a_quaternion() -> None:
     np.testing.assert_allclose(quarter.T_parent_child[:3, :2], [[0, -1], [1, 0], [0, 0]], rtol=0, atol=1e-15)
     with pytest.raises(RobotError, match=r"Expected quat_xyzw of length 1 .*line 2, got 1 1 1 1\. Correct it"):
         urdf.parse(text.format('quat_xyzw="1 1 1 1"'))
-    with pytest.raises(RobotError, match=r"Expected rpy or quat_xyzw of <origin> .*line 2, got both"):
+    with pytest.raises(RobotError, match=r"Expected either rpy or quat_xyzw of <origin> .*line 2, got both"):
         urdf.parse(text.format('rpy="0 0 0" quat_xyzw="0 0 0 1"'))
 
 

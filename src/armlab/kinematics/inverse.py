@@ -223,7 +223,7 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
         raise ConfigError(f"Expected damping to be a number above 0, got {damping!r}.")
     position, rotation = tol if isinstance(tol, tuple) and len(tol) == 2 else (tol, tol)
     if not (isinstance(position, _NUMBER) and isinstance(rotation, _NUMBER) and position >= 0 and rotation >= 0):
-        raise ConfigError(f"Expected tol to be a number of at least 0, or (position, rotation), got {tol!r}.")
+        raise ConfigError(f"Expected tol to be a number of at least 0 or a pair (position, rotation), got {tol!r}.")
     return float(position), float(rotation)
 
 

@@ -68,7 +68,9 @@ def vee(X: ArrayLike) -> np.ndarray:
     """
     X = arguments.array(X, (4, 4), "X")
     if (X[..., 3, :] != 0).any():
-        raise ShapeError(f"Expected a twist matrix with last row 0, got {X[..., 3, :].max():.3g}. Use log for a pose.")
+        raise ShapeError(
+            f"Expected a twist matrix with last row zero, got {X[..., 3, :].max():.3g}. Use log for a pose."
+        )
     return np.concatenate([X[..., :3, 3], so3.vee(X[..., :3, :3])], axis=-1)
 
 

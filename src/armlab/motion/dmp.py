@@ -141,8 +141,8 @@ class Dmp(Equation, Saved, kind="dmp"):
         own = None if weights is None else numbers(weights, "weights", ShapeError)
         if own is not None and own.shape[1:] != self.weights.shape:
             raise ShapeError(
-                f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Use the kernels of the "
-                "primitive."
+                f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Keep the number of "
+                "kernels and coordinates of the primitive."
             )
         return self._run(RunParameters.of(self, 1 if own is None else len(own), **run), t, own)
 

@@ -67,7 +67,9 @@ def freeze_arrays(value: Any, *names: str) -> None:
     arrays = {name: np.array(numbers(getattr(value, name), name, ShapeError)) for name in names}
     if not np.isfinite(np.concatenate([array.ravel() for array in arrays.values()])).all():
         name = next(name for name in names if not np.isfinite(arrays[name]).all())
-        raise ShapeError(f"Expected finite {name} in a {type(value).__name__}, got NaN or Inf. Fit again.")
+        raise ShapeError(
+            f"Expected finite {name} in a {type(value).__name__}, got NaN or Inf. Fit the primitive again."
+        )
     for name, array in arrays.items():
         array.flags.writeable = False
         object.__setattr__(value, name, array)

@@ -55,7 +55,9 @@ def load(
 
         return urdf.read(path).chain(base, tip, lock=lock)
     if not (base is tip is lock is None):
-        raise RobotError(f"Expected base, tip and lock only with a URDF, got base, tip or lock with {name}. Omit them.")
+        raise RobotError(
+            f"Expected base, tip and lock only with a URDF, got base, tip or lock with {name}. Omit these options."
+        )
     return _from_library(str(name)) if path is None else _from_file(path)
 
 

@@ -259,7 +259,7 @@ def _with_digits(field: str, value: np.ndarray) -> np.ndarray:
 
 def _flags(value: np.ndarray, name: str) -> np.ndarray:
     if not np.isin(value, (0.0, 1.0)).all():
-        raise RobotError(f"Expected prismatic of robot {name!r} as Booleans, got {value.tolist()}.")
+        raise RobotError(f"Expected Booleans in prismatic of robot {name!r}, got {value.tolist()}.")
     flags = value.astype(bool)
     flags.flags.writeable = False
     return flags
@@ -322,7 +322,7 @@ class Mesh(Shown):
             raise RobotError(f"Expected a pose (4, 4) of mesh {self.file!r}, got {self.T_link_mesh.tolist()}.")
         if self.scale.shape != (3,) or not (np.isfinite(self.scale).all() and self.scale.all()):
             raise RobotError(
-                f"Expected 3 finite factors of mesh {self.file!r} other than 0, got {self.scale.tolist()}."
+                f"Expected 3 finite, non-zero scale factors of mesh {self.file!r}, got {self.scale.tolist()}."
             )
 
     def __eq__(self, other: object) -> bool:

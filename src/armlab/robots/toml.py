@@ -125,7 +125,7 @@ def _in_radians(value: Any) -> Any:
     for key, item in value.items():
         name = key.removesuffix("_deg") if key.removesuffix("_deg") in ANGLES else key
         if name in result:
-            raise RobotError(f"Expected one of {name} and {name}_deg, got both in {value.get('name', 'the file')!r}.")
+            raise RobotError(f"Expected either {name} or {name}_deg, got both in {value.get('name', 'the file')!r}.")
         result[name] = _in_radians(item) if name == key else radians(item)
     return result
 
@@ -207,7 +207,7 @@ def _coupling(file: File) -> np.ndarray:
 def _matrix(pose: Pose, where: str) -> np.ndarray:
     """Return the pose as a matrix; rounded rotations are orthonormalised."""
     if pose.quaternion is not None and pose.rotation is not None:
-        raise RobotError(f"Expected quaternion or rotation in {where}, got both.")
+        raise RobotError(f"Expected either quaternion or rotation in {where}, got both.")
     R = np.eye(3) if pose.rotation is None else np.array(pose.rotation)
     try:
         if pose.quaternion is not None:

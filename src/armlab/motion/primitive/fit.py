@@ -137,10 +137,13 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
     check_name(scaling, "scaling", SCALINGS)
     if bandwidth is not None and method == "trajectory" and schedule != "position":
         raise ConfigError(
-            "Expected a bandwidth only for methods with derivatives, got a bandwidth with 'trajectory'. Omit it."
+            "Expected a bandwidth only for methods with derivatives, got a bandwidth with 'trajectory'. Omit the "
+            "bandwidth."
         )
     if flag(raw_kernels, "raw_kernels") and method != "lwr":
-        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got raw_kernels with {method!r}. Omit it.")
+        raise ConfigError(
+            f"Expected raw_kernels only with method 'lwr', got raw_kernels with {method!r}. Omit raw_kernels."
+        )
 
 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:

@@ -92,8 +92,8 @@ class RunParameters:
         parts = {name: vector(a, name, dmp.n) for name, a in given.items() if a is not None}
         if amplitude is not None and dmp.scaling != "amplitude":
             raise ConfigError(
-                f"Expected an amplitude only with scaling 'amplitude', got an amplitude with {dmp.scaling!r}. Omit it, "
-                "or fit with scaling='amplitude'."
+                f"Expected an amplitude only with scaling 'amplitude', got an amplitude with {dmp.scaling!r}. Omit the "
+                "amplitude, or fit with scaling='amplitude'."
             )
         shape = (dmp.n,) if runs is None else (runs, dmp.n)
         whole = shape if runs is None else _many_runs(dmp, parts, shape)
@@ -131,7 +131,7 @@ class RunParameters:
 def _tau(dmp: Equation, duration: float | None, tau_d: float | None) -> float:
     if duration is not None and tau_d is not None:
         raise ConfigError(
-            "Expected duration or tau_d, got both. Omit one of them, because the primitive fixes their ratio."
+            "Expected either duration or tau_d, got both. Omit one of them, because the primitive fixes their ratio."
         )
     if tau_d is not None:
         return positive(tau_d, "tau_d [s]", "A typical value is 1 s.")

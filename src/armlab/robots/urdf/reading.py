@@ -161,7 +161,7 @@ def _origin(element: Element) -> np.ndarray:
 def _rotation(origin: Element) -> np.ndarray:
     """Return the rotation of ``quat_xyzw``, the alternative to rpy in URDF 1.2."""
     if "rpy" in origin.attributes:
-        raise origin.error("rpy or quat_xyzw of <origin>", "both", "Remove one of them.")
+        raise origin.error("either rpy or quat_xyzw of <origin>", "both", "Remove one of them.")
     x, y, z, w = origin.numbers("quat_xyzw", 4)
     try:
         return quaternion.to_matrix([w, x, y, z])

@@ -339,7 +339,9 @@ def _check_ends(tree: Tree) -> None:
 
                 close = get_close_matches(name, names, n=1)
                 advice = f"The closest name is {close[0]!r}." if close else "Add the link or correct the name."
-                raise fault(tree, joint, f"the {end} of joint {joint.name!r} among the links", repr(name), advice)
+                raise fault(
+                    tree, joint, f"the {end} of joint {joint.name!r} to be one of the links", repr(name), advice
+                )
         if joint.child in above:
             other = above[joint.child]
             got = f"joint {joint.name!r} in addition to {other.name!r} in line {other.line}"
@@ -398,7 +400,9 @@ def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
             raise UnknownName.among(f"joint of {tree.file}", name, found)
         joint, position = found[name], float(numbers(value, f"position of the locked joint {name!r}"))
         if not joint.moves or not np.isfinite(position):
-            raise fault(tree, joint, f"a moving joint {name!r} to lock, and a number", f"{joint.kind}, {value!r}")
+            raise fault(
+                tree, joint, f"a moving joint {name!r} and a finite position", f"a {joint.kind} joint and {value!r}"
+            )
         _check_axis(tree, joint)
         axis = position * joint.axis / np.linalg.norm(joint.axis)
         twist = np.concatenate([axis, np.zeros(3)] if joint.kind == "prismatic" else [np.zeros(3), axis])
@@ -471,8 +475,8 @@ def _check_axis(tree: Tree, joint: Joint) -> None:
             tree, joint, "joints with one degree of freedom in an arm", f"{joint.kind} joint {joint.name!r}", advice
         )
     if not np.linalg.norm(joint.axis) > SHORTEST_AXIS:
-        expected = f"the direction of the axis of joint {joint.name!r}"
-        raise fault(tree, joint, expected, joint.axis.tolist(), "Use a non-zero direction.")
+        expected = f"a non-zero axis of joint {joint.name!r}"
+        raise fault(tree, joint, expected, joint.axis.tolist(), "Correct the axis.")
 
 
 def _check_joint(tree: Tree, joint: Joint) -> None:
@@ -483,7 +487,7 @@ def _check_joint(tree: Tree, joint: Joint) -> None:
         raise fault(tree, joint, f"lower below upper in joint {joint.name!r}", got, advice)
     if joint.qd_max < 0 or joint.tau_max < 0:
         got = f"velocity {joint.qd_max:g} and effort {joint.tau_max:g}"
-        raise fault(tree, joint, f"positive limits of speed and effort of joint {joint.name!r}", got)
+        raise fault(tree, joint, f"non-negative limits of speed and effort of joint {joint.name!r}", got)
 
 
 def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np.ndarray | None, list[str]]:

@@ -52,7 +52,9 @@ def _check_text(robot: Robot) -> None:
     files = [mesh.file for meshes in robot.meshes for mesh in meshes]
     for text in (robot.name, robot.source, *robot.ros_joint_names, *files):
         if _NOT_IN_XML.search(text):
-            raise RobotError(f"Expected text that XML can represent in robot {robot.name!r}, got {text!r}. Rename it.")
+            raise RobotError(
+                f"Expected text that XML can represent in robot {robot.name!r}, got {text!r}. Correct the text."
+            )
 
 
 def _comment(robot: Robot, more: Mapping[str, str]) -> str:
