@@ -94,7 +94,7 @@ class Datagrams:
 
     def __init__(self, socket: Any, kind: Any) -> None: ...
     def receive(self) -> Any | None:
-        """Return the next datagram, or None if there is none or the socket reports an error."""
+        """Return the next datagram, or None if no datagram is waiting or the socket reports an error."""
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
         """Send one datagram to a numeric address and port; return whether the system accepted it."""
@@ -257,15 +257,16 @@ class InverseSolver:
         """
 
 class MessageCopier:
-    """Copier of message numbers into the rows of arrays, for channels whose messages all have the expected layout.
+    """Copier of numbers from messages into rows of arrays, for channels whose messages all have the expected layout.
 
     Several threads may copy simultaneously into different rows.
 
     Parameters
     ----------
-    channels : for each channel, its number; the bytes of an example message; pairs (start, stop) of the bytes common to
-        all its messages; pairs of the numbers to copy; and the output arrays, with a row for every message of the file:
-        sequence numbers (N,) uint32, log times (N,) int64, and an array of N rows for every pair of numbers.
+    channels : a tuple per channel. It contains the channel number, the bytes of an example message, pairs (start, stop)
+        of the bytes common to all messages, pairs of the numbers to copy, and the output arrays. The output arrays have
+        a row for every message of the file: sequence numbers (N,) uint32, log times (N,) int64, and an array of N rows
+        for every pair of numbers.
 
     Raises
     ------
@@ -370,7 +371,7 @@ class Obstacles:
         """Move the obstacles by dt [s]."""
 
     def distance(self, y: Any) -> np.ndarray:
-        """Return the smallest distance (...) to any surface at y (..., n) [m]; infinite without obstacles."""
+        """Return the smallest distance (...) [m] of y (..., n) to any obstacle surface; infinite without obstacles."""
 
     def add(self, y: Any, yd: Any, g: Any, ydd: Any) -> np.ndarray:
         """Return the acceleration (n,) with avoidance.
@@ -451,7 +452,7 @@ class Primitive:
         """
 
 class PrimitiveStepper:
-    """Run of a primitive, sample by sample.
+    """Sample-by-sample execution of a primitive.
 
     Parameters
     ----------
@@ -541,7 +542,7 @@ class RigidBody:
         """Return the kinetic and potential energy (...) [J]."""
 
 class RotationStepper:
-    """Run of an orientation primitive, sample by sample.
+    """Sample-by-sample execution of an orientation primitive.
 
     Parameters
     ----------
@@ -572,7 +573,7 @@ class RotationStepper:
     tau: float
 
 class RowEncoder:
-    """Encoder of rows as messages, with their records and index entries, by patching templates.
+    """Encoder that converts rows to messages with records and index entries by patching templates.
 
     Parameters
     ----------
@@ -607,7 +608,7 @@ class RowEncoder:
         """
 
 class RowPacker:
-    """Packer of the data of a tick, attributes of three objects, into one row of bytes.
+    """Packer that writes the data of a tick, which are attributes of three objects, into one row of bytes.
 
     Parameters
     ----------
@@ -777,10 +778,11 @@ class WrenchEstimator:
     cutoff : cut-off frequency of the low-pass filter [Hz].
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
     point : (3,) contact point in tool axes, or None if the complete wrench is unknown.
-    doubt_columns, doubt_cov, doubt_mean : columns (n, W) of the parameters of each joint, then -1, their covariances
-        (n, W, W), of which the lower triangle is used, and the torque variance (n,) that counts as zero; or None.
-        Columns are those of links (10 n), rotors (n), and the joint's own friction: viscous, Coulomb per
-        direction, offset, Stribeck, root, load.
+    doubt_columns : (n, W) columns of the uncertain parameters of each joint, padded with -1; or None. The order of
+        columns is links (10 n), rotors (n), and the joint's own friction: viscous, Coulomb per direction, offset,
+        Stribeck, root, load.
+    doubt_cov : (n, W, W) covariances of these parameters, of which the lower triangle is used; or None.
+    doubt_mean : (n,) torque variance that counts as zero; or None.
     """
 
     def __init__(
@@ -868,13 +870,13 @@ def follow_path(
     """
 
 def await_datagram(sockets: Sequence[int], poll_ns: int, end_ns: int) -> bool:
-    """Wait without the interpreter lock until a socket is readable; return False at the end or after a signal.
+    """Wait without the interpreter lock until a socket is readable; return False on timeout or after a signal.
 
     The function sleeps until `poll_ns`, then polls until `end_ns`; both are times of the monotonic clock.
     """
 
 def filled(kind: Any, slots: tuple[Any, ...], values: tuple[Any, ...]) -> Any:
-    """Return an instance of a class with slots, filled with the values without calling its constructor."""
+    """Return an instance of a class whose slots are filled with the values; its constructor is not called."""
 
 def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
     """Return the read-only velocity (n,) after a step from `last` to `q`, filtered by a first-order low-pass [Hz]."""
@@ -939,9 +941,9 @@ def limit_reference(
 
     Returns
     -------
-    (3, n) new `sent`; (n,) uint8 bits (1 position, 2 velocity, 4 acceleration, 8 braking); both are read-only;
-    velocity ratio in (0, 1]; 0, or i if joint i (from 1) is not finite, or -i if it jumps by more than
-    ``jump + qd_max T``. After a rejected reference, the arm holds.
+    (3, n) new `sent`; (n,) uint8 bits (1 position, 2 velocity, 4 acceleration, 8 braking); both are read-only; velocity
+    ratio in (0, 1]; 0, or i if joint i (from 1) is not finite, or -i if it jumps by more than ``jump + qd_max T``.
+    After a rejected reference, the arm holds.
     """
 
 def model_torque(

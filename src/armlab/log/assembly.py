@@ -38,11 +38,11 @@ def recording_table(
 
 
 def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return t (N,) [s], 0 in the first row, and the name of its clock.
+    """Return the times t (N,) [s], which begin at 0, and the name of their clock.
 
-    The first available clock is used, in this order: a column `t`; the robot's clock if it is complete, increasing and
-    within 1 s of the session time (otherwise it was set during recording); the session time, offset by the stamps of
-    each session; the stamps.
+    The first available clock of this list is used: a column `t`, the robot's clock, the session time (offset by the
+    stamps of each session), the stamps. The robot's clock must be complete, increasing and within 1 s of the session
+    time; otherwise it was set during recording.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"

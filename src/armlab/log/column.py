@@ -202,7 +202,7 @@ def between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarra
 
 
 def pose_between(T_base_a: np.ndarray, T_base_b: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Interpolate poses: rotation about one axis at constant speed, straight translation."""
+    """Interpolate poses by rotation about one axis at constant speed and by straight-line translation."""
     R_a, R_b = T_base_a[:, :3, :3], T_base_b[:, :3, :3]
     turn = so3.log(R_a.swapaxes(-1, -2) @ R_b)
     p = (1.0 - s[:, None]) * T_base_a[:, :3, 3] + s[:, None] * T_base_b[:, :3, 3]

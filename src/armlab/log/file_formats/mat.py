@@ -5,8 +5,8 @@ SciPy is not used because it trusts the sizes in a file, so that a corrupt file 
 
 HDF5 stores MATLAB's columns as rows, so every array of a v7.3 file is transposed on reading.
 
-In MATLAB ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n), ``run.units.q``. ``run.names`` holds the original
-names of columns whose names MATLAB does not allow; ``run.armlab`` holds all other metadata as JSON.
+In MATLAB, ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n), ``run.units.q``. ``run.names`` holds the
+original names of columns whose names MATLAB does not allow; ``run.armlab`` holds all other metadata as JSON.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
 
 
 def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
-    """Parse one message into its bytes outside the numbers and the requested numbers as runs."""
+    """Split one message into the bytes outside the numbers and into runs of the requested numbers."""
     raw = first.tobytes()
     found = cdr.layout(raw, reader.type, reader.types)
     fixed, at = [], 0
@@ -444,7 +444,7 @@ def decode_by(
     room = Room(view, chunks, readers)
 
     def read(places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
-        """Read some chunks; return rows of the room and other messages by channel, and the corrupt chunks."""
+        """Read some chunks; return rows in the room and other messages, both by channel, and the corrupt chunks."""
         held: dict[int, list[range | Part]] = {number: [] for number in readers}
         damage = []
         for place in places:

@@ -174,9 +174,9 @@ class Attached:
 class Contents:
     """Content of an MCAP file.
 
-    `finished`: the file ends with a footer; `torn`: bytes after the last complete record; `indexed`: the chunk indexes
-    list every message; `loose`: positions of messages outside chunks; `damaged`: kind of each skipped record and the
-    reason.
+    `finished`: the file ends with a footer. `torn`: number of bytes after the last complete record. `indexed`: the
+    chunk indexes list every message. `loose`: positions of messages outside chunks. `damaged`: kind of each skipped
+    record, and the reason.
     """
 
     finished: bool = False

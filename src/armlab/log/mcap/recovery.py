@@ -59,8 +59,8 @@ _EVENTS = "rcl_interfaces/msg/Log"  # events have wall-clock stamps even if the 
 class Recovery:
     """Result of `recover`.
 
-    `path`: the recovered file; `messages`: number of messages; `torn`: number of bytes lost at the end of the original;
-    `lost_chunks`: number of corrupt chunks; `seconds`: time from the first to the last message, excluding events.
+    `path`: the recovered file. `messages`: number of messages. `torn`: number of bytes lost at the end of the original.
+    `lost_chunks`: number of corrupt chunks. `seconds`: time from the first to the last message, excluding events.
     """
 
     path: Path

@@ -107,7 +107,7 @@ def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
 
 
 class RecordingFile:
-    """Recording of one arm: an MCAP file (profile ros2, zstd), which exists on disk from construction.
+    """Recording of one arm: an MCAP file (profile ros2, zstd), which is created with this object.
 
     `clock`: for a layout with a column `t`, the wall clock at t = 0 [ns] and the name of the clock of `t`.
     """
@@ -157,7 +157,7 @@ class RecordingFile:
         return plans
 
     def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
-        """Write the messages of rows, numbered from `first` or by tick; they survive a crash of this process."""
+        """Write the messages of rows, numbered from `first` or by tick; the messages survive a process crash."""
         if self._opening and rows:
             self._open(_stamp(rows[0]))
         at = 0

@@ -1,7 +1,7 @@
 """Metadata, attachments and events of a recording, with secrets removed.
 
-An attached file without secrets is kept byte for byte. Otherwise it is rewritten without comments, with secret values
-replaced by ``***``. A file that cannot be parsed is omitted.
+An attached file without secrets is kept byte for byte. Otherwise, the file is rewritten without comments, with secret
+values replaced by ``***``. A file that cannot be parsed is omitted.
 """
 
 from __future__ import annotations
@@ -227,9 +227,9 @@ class Topic:
 class Inspection:
     """Content of a recording other than its table.
 
-    `size`: bytes of the file; `finished`: whether the file was closed properly; `torn`: bytes lost at the end;
-    `metadata`: string maps by name, of which "armlab" describes the writing program and the robot; `attachments`: bytes
-    by name; `summary`: counts written at the end, or empty; `robots`: names of the robots with rows.
+    `size`: size of the file in bytes. `finished`: whether the file was closed properly. `torn`: number of bytes lost at
+    the end. `metadata`: string maps by name; "armlab" describes the writing program and the robot. `attachments`: bytes
+    by name. `summary`: counts written at the end, or empty. `robots`: names of the robots with rows.
     """
 
     path: Path

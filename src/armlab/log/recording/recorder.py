@@ -360,7 +360,7 @@ class Recorder:
             self._file.abandon()
 
     def _has_room(self) -> bool:
-        """Trigger early writing of a long queue; return whether it has room for a row (with `wait`: wait for room)."""
+        """Trigger early writing of a long queue; return whether the queue has room (with `wait`: wait for room)."""
         self._wake.set()
         while self._wait and len(self._queue) >= QUEUE_ROWS and self.failed is None:
             time.sleep(0.001)

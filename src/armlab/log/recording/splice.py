@@ -305,9 +305,8 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
 
     Raises
     ------
-    LogError : a file is not an armlab recording; recordings of one robot overlap, or have different robot descriptions
-        or incompatible columns with the same name; robots that did not run simultaneously; the output cannot be
-        written.
+    LogError : a file is not an armlab recording, or the output cannot be written. Recordings of one robot overlap, or
+        have different robot descriptions or incompatible columns with the same name. Robots did not run simultaneously.
     ConfigError : fewer than two files, or an extension other than .mcap.
     """
     to = recording_path(to)

@@ -44,8 +44,8 @@ _INDEX = re.compile(r"\[[^\]]*\]")
 class TopicFields:
     """Names for the numbers of one message type, taken from the strings in its messages.
 
-    `parts`: dotted name without indices -> type of a nested message that forms one column; `joints`: prefix of a
-    JointState -> lists of joint names; `frames`: dotted name of a frame_id -> frame.
+    `parts`: dotted name without indices -> type of a nested message that forms one column. `joints`: prefix of a
+    JointState -> lists of joint names. `frames`: dotted name of a frame_id -> frame.
     """
 
     type: str

@@ -196,7 +196,7 @@ _NEVER_VALID = 0x07  # an invalid first byte of a protobuf message
 
 
 class Faults:
-    """Faults in one direction of a path; called once per cycle."""
+    """Faults in one direction of a network path, applied once per cycle."""
 
     def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
         self._rates, self._period = rates, period
