@@ -71,9 +71,9 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
     """Return the base parameters of `robot`, including rotor inertias.
 
     The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column is independent
-    if its part outside the span of the preceding columns exceeds 2 %; the nearly perpendicular or parallel axes of a
+    if its part outside the span of the preceding columns exceeds 2 %. The nearly perpendicular or parallel axes of a
     calibrated arm contribute less than that. Offsets come first, then first moments and inertias from base to tip,
-    rotors, and finally masses, so that names read ``m c_x2 + 0.2465 m3``, as in the literature.
+    rotors, and finally masses. Names therefore read ``m c_x2 + 0.2465 m3``, as in the literature.
 
     Parameters
     ----------

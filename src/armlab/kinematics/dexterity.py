@@ -224,8 +224,8 @@ def self_motion(
     q : (n,) start posture, inside the limits [rad or m].
     direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint in its positive direction.
         Alternatively, (n,) joint velocities, which are projected onto the null space, or a function of the joint
-        positions that returns the gradient (n,) of an objective, for example the manipulability; the motion then
-        ascends to the optimum.
+        positions that returns the gradient (n,) of an objective, for example the manipulability. In the last case, the
+        motion ascends to the optimum.
     length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
     points : number of evenly spaced points over the whole length, both ends included, 2 to 1 000 000.
     task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.

@@ -140,8 +140,8 @@ def jacobian_derivative(
     """Return the time derivative (..., 6, n) of the Jacobian: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 
     It is the derivative of the array that `jacobian` returns for the same `frame`. In base axes, `vd` and `wd` are the
-    accelerations of the tool point and of the tool. In tool axes they are the rates of the velocity components: ``vd +
-    w x v`` is then the acceleration of the tool point in tool axes, and `wd` the angular acceleration. The result
+    accelerations of the tool point and of the tool. In tool axes, they are the rates of the velocity components. The
+    acceleration of the tool point in tool axes is then ``vd + w x v``, and the angular acceleration is `wd`. The result
     equals Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED and LOCAL.
 
     Parameters

@@ -50,7 +50,7 @@ def inverse(
     """Return joint positions within the limits that place the tool at given poses.
 
     The solver takes Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
-    ``e = [p_goal - p; log(R_goal R^T)]``, where metres are scaled by three over the length of the arm. Joints that
+    ``e = [p_goal - p; log(R_goal R^T)]``, where positions [m] are multiplied by 3 / (length of the arm). Joints that
     would leave their limits stay at the limits, and the other joints compensate. If the search stalls, it restarts from
     a table of random postures, beginning with those that place the tool closest to the goal. The result is always
     within the limits.

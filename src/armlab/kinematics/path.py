@@ -105,8 +105,8 @@ def inverse_path(
     T_base_tool : (N, 4, 4) consecutive poses of the tool in the base.
     q0 : (n,) posture near the first row [rad or m]; default: the home posture or a random posture.
     max_step : largest joint step between rows [rad or m], one number or (n,), for example the speed limit times the
-        period. Default: 0.05 rad plus five times the length of the pose step (in rad; metres are scaled by three over
-        the length of the arm).
+        period. Default: 0.05 rad plus five times the length of the pose step [rad], with
+        positions scaled as in `inverse`.
     objective, posture : as in `inverse`, for every row. Default: minimise the motion between rows; a closed path may
         then end in a posture that differs from the start. With an objective, each row depends only on its pose if the
         minimum does not jump, so a closed path is also closed in joint space.

@@ -71,8 +71,8 @@ def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) 
     """Return the angles (..., 3) [rad] with ``from_rpy(to_rpy(R, c), c) = R``.
 
     The middle angle is in [-π/2, π/2] for zyx and xyz, and in [0, π] for zyz. If the first and the last axis are
-    parallel (gimbal lock), only their sum or difference is determined; the first angle is then 0, and the last is the
-    sum or difference.
+    parallel (gimbal lock), only their sum or difference is determined. The first angle is then 0, and the last angle is
+    the sum or difference.
 
     Parameters
     ----------

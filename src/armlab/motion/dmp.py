@@ -269,7 +269,7 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
     change with the smallest ``sum |dy|^2`` over the duration is selected. The motion with the start, goal and duration
     of the demonstration passes through the points; other motions are scaled from it.
 
-    If a velocity is given at the goal and the end time, the motion does not end at rest; continue with
+    If a velocity is given at the goal and the end time, the motion does not end at rest. In that case, continue with
     `profiles.quintic` or another primitive. Otherwise the motion returns to the goal and settles.
 
     Parameters

@@ -81,7 +81,7 @@ class AvoidingDmp(Shown):
     """Movement primitive that avoids obstacles and keeps a clearance from them.
 
     Within `reach`, each obstacle adds an acceleration that steers the velocity away or follows the gradient of a
-    potential; a safeguard keeps the distance above the clearance. docs/theory/obstacles.md describes the laws and their
+    potential. A safeguard keeps the distance above the clearance. docs/theory/obstacles.md describes the laws and their
     guarantees.
 
     Attributes

@@ -330,7 +330,7 @@ def fit_periodic_dmp(
     ----------
     t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : period [s]; an error of 1 % spoils a fit to ten periods, so try several values and keep the one with the
+    period : period [s]. An error of 1 % spoils a fit to ten periods. Try several values and keep the one with the
         smallest `sigma`.
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.

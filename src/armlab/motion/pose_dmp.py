@@ -78,7 +78,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
     """Movement primitive of poses.
 
     The position is a `Dmp`. The orientation has a spring along the shorter rotation to its goal, and a forcing over the
-    same phase, scaled by the rotation vector from start to goal (docs/theory/pose_dmp.md).
+    same phase. The forcing is scaled by the rotation vector from start to goal (docs/theory/pose_dmp.md).
 
     Attributes
     ----------

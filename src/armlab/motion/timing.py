@@ -221,7 +221,7 @@ class PacedDmp(Shown):
         """Return a controller ``State -> Command`` that runs at this clock rate, from rest at the measured position.
 
         The limits hold as planned if the arm is at the planned start. With a different start or goal, the path differs,
-        but the clock rate stays the same, and the references are clipped to the limits of the controller
+        but the clock rate stays the same. The references are clipped to the limits of the controller
         (`Controller.clamped`).
 
         Parameters

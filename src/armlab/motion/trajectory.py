@@ -231,9 +231,9 @@ class JointTrajectory(Shown):
 class TrajectoryController:
     """Controller that runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
 
-    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends, and the
-    arm comes to rest, if the arm leaves the path tolerance, if the packet stream is interrupted, or if the robot begins
-    a new session.
+    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends and the
+    arm comes to rest if the arm leaves the path tolerance, the packet stream is interrupted, or the robot begins a new
+    session.
 
     Attributes
     ----------

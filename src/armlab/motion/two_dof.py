@@ -31,7 +31,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
 
     The time constant grows with the filtered error beyond a dead zone; docs/theory/two_dof_dmp.md describes the law.
     All coordinates share the phase x and tau_a, so the path keeps its shape. A static error of 1, 2, 5, 10 or 20 mrad
-    slows the motion by a factor of 1.01, 1.04, 1.25, 2 or 5: set `e0` above the error caused by sensors, friction and
+    slows the motion by a factor of 1.01, 1.04, 1.25, 2 or 5. Set `e0` above the error caused by sensors, friction and
     delay.
 
     Attributes
@@ -200,8 +200,8 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         ----------
         robot, limits : as in `Dmp.controller`.
         duration, g, amplitude : as in `Dmp.rollout`.
-        give_way : acceleration (n,) that a contact adds to the reference, for an arm that is not itself compliant,
-            for example ``lambda state: J(state.q).T @ force(state) / inertia``.
+        give_way : function of the State that returns the acceleration (n,) added to the reference by a contact, for an
+            arm that is not itself compliant. Example: ``lambda state: J(state.q).T @ force(state) / inertia``.
 
         Raises
         ------
