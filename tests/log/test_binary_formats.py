@@ -108,7 +108,7 @@ def test_without_an_extra(
         with pytest.raises(MissingExtra, match=rf"Expected the package {module} .*pip install 'armlab\[data\]'"):
             job()
     if module == "h5py":
-        with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save again"):
+        with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save it again"):
             read_mat(tmp_path / "a.mat")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a.mat", path.name]
 

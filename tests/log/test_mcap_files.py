@@ -226,7 +226,7 @@ def test_an_index_whose_descriptor_was_closed_costs_the_summary_and_no_message(t
                     os.dup2(theirs.fileno(), number)
             writer.message(a, i, i, i, b"")
             writer.close_chunk()
-        with pytest.raises(OSError, match="armlab log recover rebuilds it"):
+        with pytest.raises(OSError, match="armlab log recover rebuilds the index"):
             writer.finish()
     os.close(number)
     assert other.read_bytes() == b""

@@ -209,7 +209,8 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
         values = [float(word) for word in words]
         if len(values) != columns:
             raise LogError(
-                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. The file is cut off or invalid."
+                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. "
+                "The file is truncated or invalid."
             )
         bad = [i for i, value in enumerate(values, start=1) if not math.isfinite(value)]
         if bad:

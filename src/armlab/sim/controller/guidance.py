@@ -111,7 +111,7 @@ _FASTEST = 1.0  # rad/s
 
 
 class ExternalAxes:
-    """Up to six external axes, which start at 0 rad: ``q += T k (q_ref - q)`` with the controller's gain, up to 1 rad/s."""
+    """At most six external axes from 0 rad, limited to 1 rad/s: ``q += T k (q_ref - q)`` with the controller's gain."""
 
     def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
