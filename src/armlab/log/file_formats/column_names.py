@@ -58,7 +58,7 @@ _TAIL = re.compile(
 )
 _MOST = 1000  # columns per pattern
 _WRIST = 3  # index of the first of the three identical drives of a UR
-_CORRELATED = 0.7  # smallest accepted correlation of current and frictionless moment
+_CORRELATED = 0.7  # smallest accepted correlation of current and moment after friction is removed from both
 
 
 @dataclass(frozen=True)
