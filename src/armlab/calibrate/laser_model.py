@@ -235,8 +235,8 @@ class SceneUnknowns:
     """Names, units and limits of the unknowns, and descriptions of directions for `check_spread`."""
 
     scans: Scans
-    scene: Scene  # estimate
-    planes: tuple[str, ...]  # labels
+    scene: Scene  # estimated scene
+    planes: tuple[str, ...]  # labels of the planes
     limits: tuple[float, float]  # fraction of the spread of the points, and angle [rad]
 
     @cached_property

@@ -127,10 +127,10 @@ def hypotheses(
     point : (3,) contact of the hypothesis "point", tool axes [m]; default: the tool point, unless a segment is given.
     segment : (M, 3) corners of a line on the tool, tool axes [m]; default: no such hypothesis.
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; default: 20 N and 2 N m.
-    window : length [s]; shorter contacts are diluted.
+    window : length [s]; a shorter contact is averaged with free motion.
     memory : correlation time of the torque error [s], see `correlation_time`. A window counts as window / (2 memory)
-        independent samples. For an identified YuMi model and the 10 Hz filter, it is 0.02 to 0.06 s in motion. The
-        default of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
+        independent samples. For an identified YuMi model and the 10 Hz filter, the correlation time in motion is 0.02
+        to 0.06 s. The default of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
 
     Raises
     ------

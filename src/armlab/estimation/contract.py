@@ -518,7 +518,7 @@ def check_estimator(
     Parameters
     ----------
     fit : function that takes `Experiment.data` as keyword arguments and returns a `Fit`.
-    experiment : function of (seed, n) that returns an `Experiment` of n samples, the same for the same seed.
+    experiment : function of (seed, n) that returns an `Experiment` of n samples; equal seeds give equal experiments.
     runs : number of experiments; from 1000 on, the narrower limits of the benchmark apply and efficiency is judged.
     n : number of samples of an experiment; the test of consistency also needs experiments with 4 n samples.
     error : function of (fit, truth) that returns the error (d,) in the coordinates of `fit.cov`, or an error (m,) and

@@ -31,7 +31,7 @@ class TotalSolution:
     x: np.ndarray  # (p,) parameters
     cov: np.ndarray  # (p, p) covariance of the parameters, to first order in the errors
     sigma: float  # estimated standard deviation of the errors; 1 if the given covariance is correct
-    corrections: np.ndarray  # (N, p + 1) estimated errors of [A y]; without them, the rows are consistent with x
+    corrections: np.ndarray  # (N, p + 1) estimated errors of [A y]; rows minus these errors are consistent with x
     outliers: np.ndarray  # (N,) mask of excluded rows
     excitation: Excitation
 

@@ -42,7 +42,7 @@ class Fit(Shown, Generic[Value]):
     value : Value
         The fitted value.
     names, units : tuple of str
-        Names of the d parameters.
+        Names and units of the d parameters.
     parameters : ndarray, shape (d,)
         Values of the parameters.
     cov : ndarray, shape (d, d)
@@ -112,7 +112,7 @@ class Fit(Shown, Generic[Value]):
                 object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Reduce for copying and pickling, with the report as text."""
+        """Support copying and pickling; the report is stored as text."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.summary is not None:
             kept["summary"] = partial(_said, self.report())
@@ -125,7 +125,7 @@ class Fit(Shown, Generic[Value]):
 
     @property
     def good(self) -> bool:
-        """Whether the fit can be relied on; if not, `doubts` lists the reasons."""
+        """Whether the fit is reliable; if not, `doubts` lists the reasons."""
         return not self.doubts
 
     @property
@@ -208,7 +208,7 @@ def value_of(given: Fit[Value]) -> Value: ...
 @overload
 def value_of(given: Fit[Value] | Value) -> Value: ...
 def value_of(given: Any) -> Any:
-    """Return the value of a fit, and anything else unchanged."""
+    """Return the value of a fit; return any other object unchanged."""
     return given.value if isinstance(given, Fit) else given
 
 

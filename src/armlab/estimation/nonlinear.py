@@ -198,7 +198,7 @@ def median_norm(dimension: int) -> float:
 Value = TypeVar("Value")
 
 ITERATIONS = 100
-STEP = 1e-9  # in standard deviations of the estimate
+STEP = 1e-9  # step at convergence, in standard deviations of the estimate
 ROUNDING = 1e-13  # relative rounding error of the cost
 IDLE, PATIENCE = 1e-3, 5  # limits of rounding: step in standard deviations, and number of steps without progress
 EXACT = 1e-3  # ratio of the residual to its standard deviation below which all steps are rounding errors

@@ -115,7 +115,7 @@ def build(
 def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the unit direction (3,) of a feature, and the covariance (3, 3) of its rotation in the features' frame."""
     if isinstance(item, Fit):
-        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Use its value.")
+        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Use the value of the fit.")
     if isinstance(item, Circle):
         item = item.plane
     if isinstance(item, (Plane, Line)):

@@ -29,7 +29,7 @@ SIDE_DEVIATIONS = 3.0  # standard deviations from which a side is determined
 
 ALL_SETS, SOME_SETS = comb(60, 3), 500  # largest number of sets for an exhaustive search; size of a random selection
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
-MAX_ITERATIONS = 3  # refits
+MAX_ITERATIONS = 3  # maximum number of refits
 MAX_SCORING_POINTS = 1000  # maximum number of points that score the sets
 INITIAL_TOLERANCE = 2.0  # correction factor for the noise of the refitted half, which is too low
 CHUNK = 200_000  # distances held in memory at once

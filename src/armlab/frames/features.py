@@ -89,7 +89,7 @@ class Plane(Shown):
 
         Parameters
         ----------
-        p : (N, 3) [m].
+        p : (N, 3) points [m].
         """
         return (inputs.points(p) - self.centroid) @ self.n
 
@@ -163,7 +163,7 @@ class Line(Shown):
 
         Parameters
         ----------
-        p : (N, 3) [m].
+        p : (N, 3) points [m].
         """
         away = inputs.points(p) - self.centroid
         return away - np.outer(away @ self.v, self.v)

@@ -25,7 +25,7 @@ from armlab.estimation import Fit
 from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
-LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
+LEAST = 1e-6  # smallest eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
 # The cost is flat near the optimum, so the parameter error scales with the square root of the gap. The attainable gap
 # depends on the processor; the default of 1e-8 is accepted if no smaller gap is reached.
@@ -176,7 +176,7 @@ def bodies_of(model: TorqueModel, robot: Robot) -> tuple[np.ndarray, np.ndarray,
         exact = [*floors, (base.B / size[:, None]) @ pi == target / size]
         _solve(cvxpy, cvxpy.Problem(cvxpy.Minimize(far), exact))
         found = np.asarray(pi.value)
-        found = found + np.linalg.pinv(base.B) @ (target - base.B @ found)  # more accurate than the solver
+        found = found + np.linalg.pinv(base.B) @ (target - base.B @ found)  # exact, unlike the solver
         away = 0.0
     except NotConverged:
         values, vectors = np.linalg.eigh(model.base_cov)
@@ -277,7 +277,7 @@ def _nearest(
     cvxpy = _cvxpy()
     n = len(prior)
     moments = pseudo_inertia(prior).sum(axis=0)
-    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # entries of similar magnitude
+    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # similar magnitudes of all entries
     expand = _parameters_of(scale)
     back = np.linalg.inv(scale)
     bodies = [cvxpy.Variable((4, 4), symmetric=True) for _ in range(n)]
@@ -330,7 +330,7 @@ def _parameters_of(scale: np.ndarray) -> np.ndarray:
 
 
 def _cvxpy() -> Any:
-    """Import cvxpy, or raise with the installation command."""
+    """Import cvxpy, or raise an error with the installation command."""
     try:
         return import_module("cvxpy")
     except ImportError:

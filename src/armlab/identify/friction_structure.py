@@ -72,9 +72,9 @@ class FrictionColumns:
         return np.moveaxis(self.decimation.run(made, J * count).reshape(-1, count, J), 1, 2)
 
 
-DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
-SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
-STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
+DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad, searched presliding distances
+SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s, searched v_t of the smooth sign
+STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s, searched v_s of the Stribeck term
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried in both directions after the grid
 FEWER = REFINEMENTS[::2]  # fewer factors after the selection of terms, because Gauss-Newton steps follow
 FOLDS = 4

@@ -74,7 +74,7 @@ def load_torque(model: TorqueModel, data: Record) -> np.ndarray:
 # The thermal state is constant within a second, so only sums per second are stored for a record.
 
 
-BIN = 1.0  # s
+BIN = 1.0  # s, duration of a bin
 SETTLING = 8  # iterations of power and thermal state for given parameters
 FEWEST_SECONDS = 20  # rows needed in a second to determine its power
 

@@ -276,7 +276,7 @@ def rests(
 # than exact.
 
 
-STARTS = (5.0, 30.0, 150.0)  # s/rad
+STARTS = (5.0, 30.0, 150.0)  # s/rad, initial decay rates
 RATE_BOUNDS = (1.0, 500.0)
 MAX_LOG_RATIO = 15.0
 UNIFORM = 12.0  # information of a uniform distribution, times its width squared
@@ -297,7 +297,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Returns
     -------
-    Fit of `models.torque.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
+    Fit of `models.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
 
     Raises
     ------

@@ -196,9 +196,9 @@ TORQUE_FORMAT = 6
 FRICTION_FIELDS = tuple(entry.name for entry in fields(Friction))
 RIPPLE = tuple(entry.name for entry in fields(Ripple))
 BOUND = tuple(entry.name for entry in fields(FrictionBound))
-PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled", "parameters")  # optional
+PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled", "parameters")  # optional tables
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
-LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training data
+LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # fields of the training data
 UNITS = {
     "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
     "rotor": "kg m^2",
@@ -218,7 +218,7 @@ UNITS = {
 
 
 ROBOT = ("frames", "prismatic", "gravity")
-DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov", "load_sd")  # arrays
+DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov", "load_sd")  # array fields
 COVARIANCE = ("C0", "Cinf", "shape")
 
 

@@ -183,7 +183,7 @@ class ParameterCovariance:
         return half + np.tril(half, -1).T
 
     def kernel_rows(self, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale` multiplies links."""
+        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale`: factor of the links."""
         n = len(self.mean)
         columns, cov = self.columns.astype(int), self.cov
         weight = np.where(columns < 10 * n, scale, 1.0)

@@ -19,12 +19,12 @@ STILL = 1e-6  # variation of gravity in tool axes that counts as zero
 HAND = 20.0  # Delta from which the handedness is decided
 RICH = 0.1  # variation of gravity in two directions beyond which the readings must follow it
 UNEXPLAINED = 0.5  # largest accepted fraction of the variation that a load does not explain
-ROUGH = 5.0  # ratio to the given noise beyond which residuals are not noise
+ROUGH = 5.0  # ratio to the given noise beyond which noise does not explain the residuals
 FIRST_ORDER = 0.05  # angle [rad]: a larger standard deviation is only a first-order approximation
 FAR, ABSURD = 1.0, 10.0  # distances [m] of a centre of mass whose unit is possibly, or certainly, wrong
 OTHER_UNIT = 2.0  # factor too large for an error in weight or gravity
 HEAVY, LIGHT = 500.0, 1e-3  # masses [kg] beyond the range of arms and sensors
-LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
+LOW_GRAVITY = 1.5  # m/s^2, less than the gravity of the Moon
 MANY = 1.0 / 3.0  # fraction of outliers from which the left-handed solution is tried
 STANDARD = 9.80665  # standard gravity [m/s^2]
 
@@ -34,7 +34,7 @@ class LoadUnknowns:
     """Names, units and limits of the unknowns, and descriptions of directions for `check_spread`."""
 
     equation: WeightEquation
-    load: Load  # estimate
+    load: Load  # estimated load
     limits: tuple[float, float, float]  # (angle [rad], fraction of the weight, length [m])
     scale: str = "mass"  # name of the mass parameter: "mass" [kg], or "scale" of an accelerometer
 

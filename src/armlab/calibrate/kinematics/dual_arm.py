@@ -313,7 +313,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return mask
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the orientation of b's tool, which positions never determine."""
+        """Return the directions of the orientation of b's tool, which measured positions never determine."""
         problem = self.problem
         at = problem.arm_a.size + 6 * problem.arm_b.n + 3
         turns = np.zeros((problem.size, 3))
@@ -323,7 +323,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return joints at rest, the common motion of both tools, and the scale."""
+        """Return the directions of joints at rest, of the common motion of both tools, and of the scale."""
         arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
         a, size = arm_a.size, self.problem.size
         found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")

@@ -251,7 +251,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def result(
         self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
     ) -> Fit[Value]:
-        """Return the fit at a state equivalent to the solution; `value` takes the state and the covariance (d, d)."""
+        """Return the fit at a state equivalent to the solution; `value` is a function of the state and covariance."""
         problem, used = self.problem, self.used
         outside = np.flatnonzero(found.outliers)
         data = problem.measurements(state, local=True)

@@ -22,7 +22,7 @@ from armlab.estimation.robust import shrinkage
 # with S the scatter of the moments of segments.
 
 
-RIDGE = 1e-6  # relative
+RIDGE = 1e-6  # ridge relative to the mean diagonal
 FOLDS = 5
 MOST_STRETCHES = 200  # segments for a covariance
 FULL = 1e-6  # smallest share of a direction determined by other segments
@@ -99,9 +99,9 @@ def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float
     return total / len(y)
 
 
-GAP = 1e-6  # relative
+GAP = 1e-6  # accepted relative duality gap
 ROUNDS = 20000
-PATH = 20  # penalties
+PATH = 20  # number of penalties that are tried
 SHORTEST = 1e-3  # ratio of the smallest penalty to the largest
 
 

@@ -25,7 +25,7 @@ NEIGHBOURS = 50  # grid points on either side for the local median
 MAX_LINES = 10
 NEWTON = 3  # Gauss-Newton steps to refine a line
 GAIN = 0.02  # minimum reduction of the held-out variance
-CHUNK = 2**22  # numbers in memory at once
+CHUNK = 2**22  # numbers held in memory at once
 
 
 @dataclass(frozen=True, eq=False)

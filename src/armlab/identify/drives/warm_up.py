@@ -36,7 +36,7 @@ from armlab.models import TorqueModel
 from armlab.models.friction import WarmUp
 
 MIN_SECONDS = 20 * 60.0
-TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s
+TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s, searched time constants
 ROUNDS = 3
 HOTTEST = 3.0
 FEWEST = 40  # segments for a covariance of eight parameters
