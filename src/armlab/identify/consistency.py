@@ -277,7 +277,7 @@ def _nearest(
     cvxpy = _cvxpy()
     n = len(prior)
     moments = pseudo_inertia(prior).sum(axis=0)
-    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # similar magnitudes of all entries
+    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # entries of similar magnitude
     expand = _parameters_of(scale)
     back = np.linalg.inv(scale)
     bodies = [cvxpy.Variable((4, 4), symmetric=True) for _ in range(n)]
