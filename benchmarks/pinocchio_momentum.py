@@ -11,7 +11,7 @@ from pinocchio_estimator import PinocchioEstimator
 from scipy.linalg.lapack import dposv
 
 from armlab.models import TorqueModel
-from armlab.models.torque import FORCE_RATES
+from armlab.models.uncertainty import FORCE_RATES
 from armlab.robots import Robot
 from armlab.state import State
 

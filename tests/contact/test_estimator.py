@@ -17,7 +17,7 @@ from armlab.kernels import presliding
 from armlab.lie import se3
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
-from armlab.models.torque import FORCE_RATES, PRIOR
+from armlab.models.uncertainty import FORCE_RATES, PRIOR
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])

@@ -24,7 +24,7 @@ from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import WarmUp
-from armlab.models.torque import FORCE_RATES, PRIOR
+from armlab.models.uncertainty import FORCE_RATES, PRIOR
 
 
 def test_prepare_cuts_at_gaps_and_joins_logs(truth, excited) -> None:

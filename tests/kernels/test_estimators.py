@@ -16,7 +16,7 @@ from armlab import kernels, robots
 from armlab.errors import ShapeError
 from armlab.kernels import momentum_step, solve_wrench
 from armlab.log import Table
-from armlab.models.torque import FORCE_RATES, PRIOR
+from armlab.models.uncertainty import FORCE_RATES, PRIOR
 
 from .. import oracles
 from ..oracles.wrench import METHODS

@@ -15,7 +15,8 @@ from armlab.lie import euler, se3
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import Friction, FrictionBound, Ripple
-from armlab.models.torque import MomentumNoise, Quality, Training
+from armlab.models.torque import Quality, Training
+from armlab.models.uncertainty import MomentumNoise
 from armlab.robots import Robot
 
 DATA = Path(__file__).parents[3] / "shared/data/force/panda_ati"

@@ -94,7 +94,7 @@ def test_damaged_fields_are_refused_in_one_line(tmp_path: Path) -> None:
     [
         ("tuples = []", "got a table with 'tuples'"),
         ("", "fields of a test_outer"),
-        ("tuple = [1]", "texts for sources .* 1"),
+        ("tuple = [1]", "strings for sources .* 1"),
     ],
 )
 def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from armlab.models import Accelerometer, ForceSensor, HandEye, LaserSensor, Payl
 from armlab.models.files import kind_of, register
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp, speed_basis
 from armlab.models.kinematic_correction import KinematicCorrection
-from armlab.models.torque import SPEED_EDGES, CoupledMotors, MomentumNoise, Quality, Training
+from armlab.models.torque import SPEED_EDGES, CoupledMotors, Quality, Training
+from armlab.models.uncertainty import MomentumNoise
 
 ONE, TWO = np.ones(1), np.ones(2)
 NAN = np.array([np.nan])

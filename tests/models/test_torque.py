@@ -13,7 +13,8 @@ from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, load, save, velocity_covariance
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp, speed_basis
-from armlab.models.torque import CoupledKernel, CoupledMotors, VelocityCovariance
+from armlab.models.torque import CoupledKernel, CoupledMotors
+from armlab.models.uncertainty import VelocityCovariance
 
 
 def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:

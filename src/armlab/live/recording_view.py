@@ -198,7 +198,9 @@ def read_arms(
         raise LogError("Expected at least one log to view, got no path. Pass the path of a recording.")
     for robot in waiting:
         shown = found[0][0]
-        check_same(robot, "a recording", shown.name, shown.hash, shown, f"Omit --robot {robot.name}, or override with --force.")
+        check_same(
+            robot, "a recording", shown.name, shown.hash, shown, f"Omit --robot {robot.name}, or override with --force."
+        )
     if not force:
         _check_models(known, [robot for robot, _, _ in found])
     start = _start([table for _, table, _ in found])

@@ -15,7 +15,7 @@ from armlab.glossary import label, lookup
 from armlab.identify import predict
 from armlab.log import Table
 from armlab.models import TorqueModel
-from armlab.models.torque import VelocityCovariance
+from armlab.models.uncertainty import VelocityCovariance
 from armlab.plots.style import (
     JOINT_STYLES,
     MODEL,
@@ -124,7 +124,7 @@ def residual_speed(
     Parameters
     ----------
     table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`.
-    covariances : `models.torque.VelocityCovariance` objects, keyed by name.
+    covariances : `models.VelocityCovariance` objects, keyed by name.
     joints : indices of the joints to draw, from 0; default: all joints.
     ax : one Axes per joint; default: a new figure.
 
