@@ -1,7 +1,7 @@
 """Move one joint of a simulated YuMi along a sine over EGM, record a log and read it.
 
-Replace the first line of `main` by "egm://192.168.125.50:6510" (the address of this computer on the robot's network)
-to move a real arm with the same program; read docs/egm.md first.
+To move a real arm with the same program, replace the first line of `main` by "egm://192.168.125.50:6510" (the address
+of this computer on the robot's network); read docs/egm.md first.
 """
 
 import numpy as np

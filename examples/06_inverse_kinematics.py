@@ -1,4 +1,4 @@
-"""Joint positions within the limits for a tool pose; use of the redundant joint; an unreachable pose."""
+"""Find joint positions within the limits for a tool pose, use the redundant joint, and try an unreachable pose."""
 
 import numpy as np
 

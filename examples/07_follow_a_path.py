@@ -1,4 +1,4 @@
-"""Follow a path with the tool: joint positions on one branch, their manipulability, and the self-motion of the arm."""
+"""Follow a path with the tool: compute joint positions on one branch, manipulability, and the arm's self-motion."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def main() -> None:
 
     path = kinematics.inverse_path(robot, T_base_tool, robot.q_home, max_step=PERIOD * robot.qd_max)
     print(path.report())
-    print("least motion: the joints end", np.rad2deg(path.q[-1] - path.q[0]), "deg from where they began")
+    print("minimum motion: the joints end", np.rad2deg(path.q[-1] - path.q[0]), "deg from where they began")
     closed = kinematics.inverse_path(robot, T_base_tool, robot.q_home, objective="posture")
     print("near the home posture: ", np.rad2deg(closed.q[-1] - closed.q[0]).round(6) + 0.0, "deg")
 
@@ -32,7 +32,7 @@ def main() -> None:
     print(f"velocities alone accelerate the tool by up to {np.linalg.norm(v_dot, axis=1).max():.3f} m/s^2")
 
     walk = kinematics.self_motion(robot, robot.q_home, direction=1, length=3.0)
-    print(f"the elbow turns {walk.s[-1]:.2f} rad, until {walk.end}; tool off by {walk.position_error.max():.1g} m")
+    print(f"self-motion of {walk.s[-1]:.2f} rad, until {walk.end}; tool off by {walk.position_error.max():.1g} m")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Convert poses from other systems, make quaternions continuous, average noisy rotations and interpolate."""
+"""Convert poses from other systems, make quaternions continuous, average noisy rotations and interpolate poses."""
 
 import numpy as np
 
@@ -21,8 +21,8 @@ def main() -> None:
     q = quaternion.from_matrix(R)
     smooth = quaternion.continuous(q)
     steps = [np.abs(np.diff(values, axis=0)).max() for values in (q, smooth)]
-    print("largest step, and with signs chosen:", *steps)
-    print("xyzw, as ROS and SciPy want it:", np.roll(smooth[-1], -1))
+    print("largest step with w >= 0, and with continuous signs:", *steps)
+    print("in the order xyzw of ROS and SciPy:", np.roll(smooth[-1], -1))
 
     noisy = R[100] @ so3.exp(0.02 * np.random.default_rng(0).standard_normal((400, 3)))
     off = so3.angle(R[100], noisy)

@@ -32,7 +32,7 @@ def main() -> None:
 
     robots.save(robot, "lift.toml")  # bit-identical
     robots.save(robot, "lift.urdf")  # for Pinocchio, MuJoCo and ROS
-    print("read back, it is the same robot:", robots.load("lift.toml") == robot)
+    print("the file contains the same robot:", robots.load("lift.toml") == robot)
 
 
 if __name__ == "__main__":

@@ -22,11 +22,11 @@ def main() -> None:
 
     smooth.reset()
     record = smooth.run(force, t)  # the same filter on a record: bit-identical to the loop
-    print("the loop ended with the same value:", bool(record[-1] == filtered))
+    print("the loop ended with the same filtered value:", bool(record[-1] == filtered))
 
     twin = signals.filtfilt(smooth, force, t)  # forward and backward: no delay, but only offline
     rises = [t[np.argmax(x > 2.5)] for x in (record, twin)]
-    print(f"half of the step is reached at {rises[0]:.3f} s causally, at {rises[1]:.3f} s without phase")
+    print(f"half of the step is reached at {rises[0]:.3f} s causally, at {rises[1]:.3f} s with zero phase")
 
     even = np.arange(0.0, 1.8, 0.004)
     slope = signals.smooth_diff(np.sin(2 * np.pi * even) + 1e-3 * rng.standard_normal(450), even, bandwidth=10.0)

@@ -1,11 +1,11 @@
-"""Figures of TFRT-7651, section 5, with the simulated YuMi: torque covariance, presses on the tips, 500 g."""
+"""Reproduce figures of TFRT-7651, section 5, on the simulated YuMi: torque covariance, presses on the tips, 500 g."""
 
 import numpy as np
 
 from armlab import contact, identify, log, plots, robots, sim
 
 WEIGHT = [(20.0, 0, 4.905), (23.0, 2, -4.905)]  # s, axis, N: 500 g along x, then along -z, on both hands simultaneously
-FIRST = {"left": 10.0, "right": 1.0}  # s: before this time, 5 N along x, y, z of the base, one hand after the other
+FIRST = {"left": 10.0, "right": 1.0}  # s: until then, 5 N along x, y, z of the base, on one hand after the other
 
 
 def measure(side: str) -> tuple[log.Table, log.Table]:

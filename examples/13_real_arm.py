@@ -17,8 +17,8 @@ ZERO = np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])  # signs of the URDF joints
 
 def main() -> None:
     if not FOLDER.is_dir():
-        print(f"No folder {FOLDER}: take urdf, pos_read_data.csv and curr_data.csv of the TX40 from the repository")
-        print("github.com/thanhndv212/figaroh-plus (Apache-2.0), and give their folder as the first argument.")
+        print(f"No folder {FOLDER}: get the URDF, pos_read_data.csv and curr_data.csv of the TX40 from the repository")
+        print("github.com/thanhndv212/figaroh-plus (Apache-2.0), and pass their folder as the first argument.")
         return
     robot = replace(robots.load(FOLDER / "tx40_mdh_modified.urdf"), coupling=np.linalg.inv(GEARS))
     angles, currents = (next(FOLDER.glob(f"{name}.csv*")) for name in ("pos_read_data", "curr_data"))
@@ -33,7 +33,7 @@ def main() -> None:
 
     later = identify.predict(fit.value, whole.between(5.8, 7.2))
     error = np.sqrt(np.mean((later["tau"] - later["tau_model"]) ** 2, axis=0)) / later["tau"].std(axis=0)
-    print("in motion that the model has not seen [% of torque sd]:", (100 * error).round(1))
+    print("residual on unseen motion [% of torque sd]:", (100 * error).round(1))
 
 
 if __name__ == "__main__":

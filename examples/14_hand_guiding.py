@@ -1,4 +1,4 @@
-"""Hand guiding without a force sensor: the arm yields to the force of a hand, estimated from motor torques.
+"""Hand guiding without a force sensor: the arm yields to the force of a hand, which is estimated from motor torques.
 
 Runs after 03_identify.py, which writes model.toml.
 """

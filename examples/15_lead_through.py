@@ -1,6 +1,6 @@
 """Lead an arm by hand and let it repeat the motion: record without sending anything, then replay the log.
 
-`armlab record yumi_right --lead-through -o taught.mcap` does the first half from the command line.
+`armlab record yumi_right --lead-through -o taught.mcap` performs the first half from the command line.
 """
 
 import numpy as np

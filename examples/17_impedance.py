@@ -1,7 +1,7 @@
 """Impedance control by torque: the arm acts as a spring and damper around its start, and a hand pushes it.
 
-The simulated robot receives torques through the research extension; standard EGM cannot carry them. The arm ends some
-millimetres from its start, because a spring this soft cannot overcome friction.
+The simulated robot receives torques through the research extension; standard EGM cannot carry them. The arm stops some
+millimetres from its start, because such a soft spring cannot overcome friction.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Use an external sensor: each State has its newest value and age, NaN while it is silent; the log has all values."""
+"""Use an external sensor: each State holds its newest value and age (NaN if it is stale); the log holds all values."""
 
 import itertools
 
@@ -31,7 +31,7 @@ def main() -> None:
     tracker = bridge.CallableSource("tracker", fields, read_tracker, period=1 / 30)
     with bridge.connect("sim://yumi_right", robots.load("yumi_right")) as link:
         run = link.run(controller, seconds=1.5, sources=[tracker])
-    print("packets at which the tracker was", COUNTS)
+    print("packets by tracker state:", COUNTS)
     print("oldest value in the log [s]:", np.nanmax(run.table["tracker.age"]).round(2))
 
 

@@ -17,7 +17,7 @@ START: dict[str, np.ndarray] = {}  # torque at the start of guidance: gravity an
 def follow(state: State) -> tuple[Command, Command]:
     """Let the left arm yield to the torque change since the start, and the right arm follow its motion."""
     left, right = state.arms
-    pushed = START.setdefault("tau", left.tau) - left.tau  # the drives push back
+    pushed = START.setdefault("tau", left.tau) - left.tau  # the position-controlled drives resist the hand
     yielding = 0.1 * np.sign(pushed) * np.maximum(np.abs(pushed) - 2.5, 0.0)
     target = right.q_start + MIRROR * (left.q - left.q_start)
     return Command(qd=yielding), Command(target, MIRROR * left.qd)

@@ -10,7 +10,7 @@ def main() -> None:
     rng = np.random.default_rng(4)
     T_base_tracker = se3.from_rp(so3.exp([1.2, -1.1, 1.3]), [3.6, 0.0, 1.4])  # from a calibration, with errors
     cov = np.diag([1e-4, 1e-4, 1e-4, 5e-5, 5e-5, 5e-5]) ** 2  # m, rad
-    T_tracker_plate = se3.inv(T_base_tracker) @ se3.from_rp(so3.exp([0.0, 0.0, -0.5]), [1.1, -0.6, 0.6])  # the truth
+    T_tracker_plate = se3.inv(T_base_tracker) @ se3.from_rp(so3.exp([0.0, 0.0, -0.5]), [1.1, -0.6, 0.6])  # true pose
 
     def touched(x: np.ndarray, y: np.ndarray, tip: float) -> np.ndarray:  # tracker noise of 0.05 mm
         p = np.column_stack([x, y, np.full(len(x), tip)]) @ T_tracker_plate[:3, :3].T + T_tracker_plate[:3, 3]
@@ -23,14 +23,14 @@ def main() -> None:
     tip = frames.check_offset(plane.value, seam)
     line = frames.fit_line(seam[~tip.outliers])
     print(plane.report(), tip.text(), line.report(), sep="\n\n")
-    shadow = frames.project(line.value, plane.value)  # the seam itself, corrected for the tip radius
+    shadow = frames.project(line.value, plane.value)  # the seam line, corrected for the tip radius
     start = frames.project(seam[0], plane.value)
     built = frames.build(z=shadow, y=-plane.value, origin=start, origin_cov=line.sigma[0] ** 2 * np.eye(3))
     graph = frames.Graph()  # names of frames, poses with covariance
     graph.add("base", "tracker", T_base_tracker, cov, "calibration")
     graph.add("tracker", "seam", built.T, built.cov, "probe")
     T_base_seam, sd = graph.get("base", "seam"), 1e3 * graph.solve().sd[-6:]
-    print(f"\nseam in base {T_base_seam[:3, 3]} m +- {sd[:3].round(2)} mm, turned by +- {sd[3:].round(2)} mrad")
+    print(f"\nseam in base {T_base_seam[:3, 3]} m +- {sd[:3].round(2)} mm, rotation +- {sd[3:].round(2)} mrad")
     moved = [p @ T_base_tracker[:3, :3].T + T_base_tracker[:3, 3] for p in (plate, seam)]
     ax = plots.scene({"seam": T_base_seam}, *moved, *(item.moved(T_base_tracker) for item in (plane.value, shadow)))
     ax.figure.savefig("weld_seam.png", dpi=120)

@@ -14,7 +14,7 @@ def main() -> None:
     camera = models.load("camera.toml")
     away = 1e3 * np.linalg.norm(camera.T_base_cam[:3, 3] - seen.Y[:3, 3])
     turned = 1e3 * so3.angle(camera.T_base_cam[:3, :3], seen.Y[:3, :3])
-    print(f"\nwrong samples: {np.flatnonzero(fit.outliers)}; camera off by {away:.2f} mm and {turned:.2f} mrad")
+    print(f"\noutliers: {np.flatnonzero(fit.outliers)}; camera error {away:.2f} mm and {turned:.2f} mrad")
     plots.calibration(fit).savefig("camera.png", dpi=120)
 
 

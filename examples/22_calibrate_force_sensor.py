@@ -13,7 +13,7 @@ def main() -> None:
     fit.save("force_sensor.toml")
     sensor = models.load("force_sensor.toml")
     turned = 1e3 * so3.angle(sensor.R_tool_sensor, weighed.R)
-    print(f"\ncontact in {np.flatnonzero(fit.outliers)}; axes off by {turned:.2f} mrad, mass {sensor.mass:.4f} kg")
+    print(f"\ncontacts: {np.flatnonzero(fit.outliers)}; axes off by {turned:.2f} mrad, mass {sensor.mass:.4f} kg")
     plots.calibration(fit).savefig("force_sensor.png", dpi=120)
 
 

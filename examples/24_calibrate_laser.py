@@ -1,4 +1,4 @@
-"""Line scanner calibration: find its pose on the tool from scans of three plates, without an initial guess."""
+"""Line scanner calibration: find the sensor pose on the tool from scans of three plates, without an initial guess."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ def main() -> None:
     print(fit.report())
     fit.save("laser.toml")
     off = models.load("laser.toml").T_tool_sensor[:3, 3] - drawn.X[:3, 3]
-    print(f"\nwrong scans: {np.flatnonzero(fit.outliers)}; scanner off by {1e3 * np.linalg.norm(off):.2f} mm")
+    print(f"\noutlier scans: {np.flatnonzero(fit.outliers)}; scanner off by {1e3 * np.linalg.norm(off):.2f} mm")
     plots.calibration(fit).savefig("laser.png", dpi=120)
 
 

@@ -1,6 +1,6 @@
 """Teach by leading the arm, repeat the motion, hold the arm for two seconds and release it: the motion resumes.
 
-The experiment of Karlsson et al. (IFAC 2017) on the simulated YuMi, over EGM. A force sensor measures the hand force.
+This is the experiment of Karlsson et al. (IFAC 2017) on a simulated YuMi over EGM. A sensor measures the hand force.
 """
 
 import numpy as np

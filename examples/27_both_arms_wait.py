@@ -30,7 +30,7 @@ def main() -> None:
     way = np.stack([(way / MOVE).mean(axis=1) for way in ways], axis=1)
     begin, end = np.searchsorted(table.t, HELD)
     for when, k in (("held", begin), ("let go", end), ("end", -1)):
-        print(f"{when:6s} left arm {way[k, 0]:.0%} of its way, right arm {way[k, 1]:.0%}")
+        print(f"{when:6s} left arm at {way[k, 0]:.0%} of its path, right arm at {way[k, 1]:.0%}")
     print("done:", controller.done)
     column = log.Column(unit="1", labels=("left arm", "right arm"))
     plots.table(log.Table(table.t, {"way": way}, {"way": column}), "way").figure.savefig("both_arms.png")

@@ -1,6 +1,6 @@
 """Two-link arm: inverse kinematics, a primitive through points, torques by inverse dynamics, recovery from a push.
 
-The demo of DynamicMovementPrimitives.jl (src/demo_two_link.jl), which does not run there.
+This is the demo of DynamicMovementPrimitives.jl (src/demo_two_link.jl), which raises an error in that package.
 """
 
 import numpy as np

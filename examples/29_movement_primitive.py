@@ -18,7 +18,7 @@ def main() -> None:
     t, q = demonstration()
     fit = fit_dmp(t, q)
     dmp = fit.value
-    print(f"{dmp.n} joints, {dmp.n_basis} kernels, noise found {fit.sigma * 1e3} mrad")
+    print(f"{dmp.n} joints, {dmp.n_basis} kernels, estimated noise {fit.sigma * 1e3} mrad")
 
     slower = dmp.rollout(0.004, duration=4.0, g=[1.2, 0.1])  # twice the duration, another goal
     print(f"{len(slower.t)} samples, ends at {slower.y[-1].round(3)} rad, at most {abs(slower.yd).max():.2f} rad/s")
@@ -28,10 +28,10 @@ def main() -> None:
         y, _, _ = stepper.step(0.004)  # also velocity and acceleration
         if k == 200:
             stepper.change_goal([1.0, 0.3])
-    print(f"the goal that moved is reached: {y.round(3)} rad")
+    print(f"the moved goal is reached: {y.round(3)} rad")
 
     path = dmp.save("wave.toml")
-    print("the file holds the same primitive:", Dmp.load(path) == dmp)
+    print("the file contains the same primitive:", Dmp.load(path) == dmp)
 
 
 if __name__ == "__main__":

@@ -22,18 +22,18 @@ def main() -> None:
     around = motion.AvoidingDmp(dmp, [pillar], clearance=0.015, reach=0.1, robot=ROBOT, tool=gripper)
     run = around.rollout(np.arange(0.0, 4.0, DT))
     least = [1e3 * around.distance(q).min() for q in (dmp.rollout(DT).y, run.y)]
-    print(f"from the pillar: {least[0]:.0f} mm as taught, {least[1]:.1f} mm around it")
-    print(f"at the goal to {1e3 * abs(run.y[-1] - dmp.g).max():.3f} mrad")
+    print(f"distance from the pillar: {least[0]:.0f} mm as taught, {least[1]:.1f} mm with avoidance")
+    print(f"goal reached to {1e3 * abs(run.y[-1] - dmp.g).max():.3f} mrad")
 
     controller, q = around.controller(), ROBOT.q_home  # for link.run(controller) of a bridge
     for k in range(1000):
-        controller.place([pillar])  # its position from a camera
+        controller.place([pillar])  # obstacle position, for example from a camera
         q = controller(State(k * DT, DT, q, np.zeros(7), q)).q
     print(f"in the loop: done {controller.done}")
 
     paced = motion.retimed(dmp, 0.5, 2.0, v0=np.zeros(7))  # rad/s, rad/s^2
     stretched = motion.shortest_duration(dmp, 0.5, 2.0, v0=np.zeros(7))
-    print(f"within limits: {paced.duration:.2f} s, {stretched:.2f} s as a whole stretched")
+    print(f"within limits: {paced.duration:.2f} s, {stretched:.2f} s if slowed uniformly")
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ def main() -> None:
     repeated = kinematics.forward(ROBOT, table["q"])
 
     off, turned = repeated[-1, :3, 3] - goal[:3, 3], so3.angle(repeated[-1, :3, :3], goal[:3, :3])
-    print(f"repeated: {1e3 * np.linalg.norm(off):.2f} mm and {1e3 * turned:.2f} mrad from the turned goal")
+    print(f"repeated: {1e3 * np.linalg.norm(off):.2f} mm and {1e3 * turned:.2f} mrad from the rotated goal")
     plots.scene(shown, repeated, {"taught": fit.value.T_goal, "turned": goal}, frames=0.01).figure.savefig("turned.png")
 
 

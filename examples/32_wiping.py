@@ -1,4 +1,4 @@
-"""Wipe a table: learn a periodic motion from a noisy demonstration, repeat it, then widen and speed it up."""
+"""Wipe a table: learn a periodic motion from a noisy demonstration, repeat it, then make it wider and faster."""
 
 import numpy as np
 

@@ -32,7 +32,7 @@ def main() -> None:
 
     mean = passing.marginal(0.004)
     dmp = motion.fit_dmp(mean.t, mean.y).value  # the motion that a controller runs
-    print(f"as a primitive: off by {1e3 * np.abs(dmp.rollout(mean.t).y - mean.y).max():.2f} mm at most")
+    print(f"error of the primitive: at most {1e3 * np.abs(dmp.rollout(mean.t).y - mean.y).max():.2f} mm")
     plots.promp(passing, prior=promp, points=[(middle, [np.nan, 0.29])], samples=5).savefig("several.png")
 
 

@@ -1,4 +1,4 @@
-"""Read a bag of `ros2 bag record` from a UR5e: joints at 500 Hz in the order of the driver, a temperature at 10 Hz."""
+"""Read a bag that `ros2 bag record` wrote: joints of a UR5e at 500 Hz in the driver's order, a temperature at 10 Hz."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def main() -> None:
     record(Path("ur5e_bag"), sorted(robots.load("ur5e").joint_names))
     try:
         log.read("ur5e_bag")
-    except LogError as error:  # two rates: which stamps define the rows?
+    except LogError as error:  # topics with two rates: `clock=` must name one of them
         print(error)
     print(log.read("ur5e_bag", robot="ur5e", clock="/joint_states"))
     print({topic: len(table) for topic, table in log.read_topics("ur5e_bag").items()})

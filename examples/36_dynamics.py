@@ -8,7 +8,7 @@ from armlab import dynamics, robots
 def main() -> None:
     robot = robots.load("iiwa14")
     q, qd = np.array(robot.q_home), np.zeros(robot.n)
-    print("held by", dynamics.gravity(robot, q).round(2), "N m")
+    print("gravity torques", dynamics.gravity(robot, q).round(2), "N m")
     print("inertia of joint 1:", dynamics.mass_matrix(robot, q)[0, 0].round(3), "kg m^2")
 
     # computed torque: the error of every joint decays like a spring and damper of unit mass
@@ -20,8 +20,8 @@ def main() -> None:
         qd = qd + dt * dynamics.forward_dynamics(robot, q, qd, tau, f_ext=pushed)
         q = q + dt * qd
         if k == 2000:
-            print("before the push, off by", np.abs(goal - q).max().round(6), "rad")
-    print("under the push, off by", np.abs(goal - q).max().round(4), "rad")
+            print("largest error before the push", np.abs(goal - q).max().round(6), "rad")
+    print("largest error during the push", np.abs(goal - q).max().round(4), "rad")
 
     kinetic, potential = dynamics.energy(robot, q, qd)
     print("energy", kinetic.round(4), "+", potential.round(2), "J")

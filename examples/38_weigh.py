@@ -1,4 +1,4 @@
-"""Identify a payload from motor torques and include it in force estimation; an unmodelled load looks like a contact."""
+"""Identify a payload from motor torques and include it in force estimation; an unmodelled load appears as a contact."""
 
 import numpy as np
 
