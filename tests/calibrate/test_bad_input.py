@@ -168,7 +168,7 @@ UNITS = [
     (lambda: arm(np.rad2deg(TABLE.q)), ShapeError, "seem to be in degrees"),
     (lambda: arm(pose=None, position=1e3 * TABLE.pose[:, :3, 3]), ShapeError, "seem to be millimetres"),
     (lambda: arm(pose=None, position=1e-3 * TABLE.pose[:, :3, 3]), ShapeError, "of the robot, .* in millimetres"),
-    (lambda: dual(np.rad2deg(PAIR.q_a)), ShapeError, "got up to .* in q_a. They seem to be in degrees"),
+    (lambda: dual(np.rad2deg(PAIR.q_a)), ShapeError, "got values up to .* in q_a. They seem to be in degrees"),
     (lambda: laser(scans=SCANS.scans * MM), NotConverged, r"scans would fit .* scaled by 0\.00\d+; perhaps milli"),
     (lambda: laser(A=millimetres(SCANS.A)), NotConverged, "would fit with lengths scaled .* perhaps millimetres"),
 ]
@@ -223,7 +223,7 @@ BROKEN = [
     (lambda: points(A=SEEN.A[1:]), "equal numbers of robot poses and samples of points, got 39 and 40"),
     (lambda: points(p=SEEN.p[:, :, :2]), r"p_cam of shape \(N, K, 3\)"),
     (lambda: points(marker=LEDS[:2]), r"marker to be \(3, 3\)"),
-    (lambda: points(visible=np.ones((40, 3))), "visible as booleans"),
+    (lambda: points(visible=np.ones((40, 3))), "visible to be booleans"),
     (lambda: points(noise=(0.001, 0.001)), "noise of points as one standard deviation"),
     (lambda: points(noise=0.0), "above zero"),
     (lambda: points(noise=-np.eye(3)), "positive semidefinite"),

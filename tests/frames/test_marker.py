@@ -134,8 +134,8 @@ def test_bad_input_is_refused_by_name() -> None:
         ({"p": "led"}, "p to be real numbers"),
         ({"p": spoilt}, "NaN or Inf in 1 rows: 4"),
         ({"marker": MARKER[:3]}, r"marker to be \(4, 3\)"),
-        ({"visible": np.ones((30, 4))}, "visible as booleans"),
-        ({"visible": np.ones((30, 3), dtype=bool)}, "visible as booleans"),
+        ({"visible": np.ones((30, 4))}, "visible to be booleans"),
+        ({"visible": np.ones((30, 3), dtype=bool)}, "visible to be booleans"),
         ({"noise": 0.0}, r"noise \[m\] above zero"),
     ):
         with pytest.raises(ShapeError, match=words):

@@ -283,7 +283,7 @@ PRIMITIVES: list[Wrong] = [
         lambda: with_via_points(replace(DMP, schedule="position"), 0.5, DMP.g),
     ),
     (ShapeError, "v_max above zero", lambda: shortest_duration(DMP, 0.0)),
-    (ShapeError, "a_max as one number", lambda: shortest_duration(DMP, 1.0, [1.0, 2.0, 3.0])),
+    (ShapeError, "a_max to be one number", lambda: shortest_duration(DMP, 1.0, [1.0, 2.0, 3.0])),
     (ShapeError, "increasing times", lambda: PACED.rollout([0.0, 0.0])),
     (ShapeError, r"dt .* above zero", lambda: PACED.stepper().step(-1.0)),
     (ConfigError, "without a duration", lambda: PACED.stepper(duration=9.0)),
@@ -324,7 +324,7 @@ POSE_RUNS: list[Wrong] = [
     (ShapeError, "the position to be a Dmp", lambda: replace(POSE, position=None)),
     (ShapeError, "norm 1", lambda: replace(POSE, goal=np.ones(4))),
     (UnknownName, "frame", lambda: replace(POSE, frame="tool")),
-    (ShapeError, "goal as a pose", lambda: POSE.stepper().change_goal(np.eye(3))),
+    (ShapeError, "goal to be a pose", lambda: POSE.stepper().change_goal(np.eye(3))),
     (ConfigError, "base axes", lambda: replace(POSE, frame="goal").stepper().change_goal(np.eye(4))),
     (ConfigError, "rotate", lambda: pose(scaling="rotate").value.stepper().change_goal(POSES[15])),
     (ShapeError, "a goal that yumi_right reaches", lambda: POSE.controller(ROBOT, goal=far())),
@@ -374,7 +374,7 @@ CONTROL: list[Wrong] = [
     (ShapeError, "a Dmp, got str", lambda: TwoDofDmp("dmp")),  # type: ignore[arg-type]
     (ShapeError, "kp of at least 0", lambda: TwoDofDmp(DMP, kp=-1)),
     (ShapeError, "e0 of at least 0", lambda: TwoDofDmp(DMP, e0=-0.1)),
-    (ShapeError, "e0 as one number or 2", lambda: TwoDofDmp(DMP, e0=[0.1, 0.1, 0.1])),
+    (ShapeError, "e0 to be one number or 2", lambda: TwoDofDmp(DMP, e0=[0.1, 0.1, 0.1])),
     (ShapeError, "e_scale above 0", lambda: TwoDofDmp(DMP, e_scale=[0.0, 1.0])),
     (ShapeError, "e_max above 0", lambda: TwoDofDmp(DMP, e_max=0)),
     (ShapeError, "", lambda: TWO_DOF.stepper().step(-0.1, np.zeros(2), np.zeros(2))),
@@ -404,7 +404,7 @@ CONTROL: list[Wrong] = [
 ]
 PROFILES: list[Wrong] = [
     (ShapeError, "breaks", lambda: profiles.Profile(np.array([0.0, 1.0]), np.zeros((2, 6, 1)))),
-    (ShapeError, "qd0 as one number or of shape", lambda: profiles.quintic(Q0, Q1, 1.0, qd0=[1.0, 2.0])),
+    (ShapeError, "qd0 to be one number or of shape", lambda: profiles.quintic(Q0, Q1, 1.0, qd0=[1.0, 2.0])),
     (ShapeError, "qdd1 finite", lambda: profiles.quintic(Q0, Q1, 1.0, qdd1=np.nan)),
     (ShapeError, "duration of the segments", lambda: profiles.connect(CORNERS, [1.0, 2.0])),
     (ShapeError, "missing values in point 2", lambda: profiles.connect(np.where(CORNERS > 1, np.nan, CORNERS), 1.0)),

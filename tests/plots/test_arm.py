@@ -131,7 +131,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         (lambda: workspace(arm, points=5, ax=[flat] * 3), ShapeError, "3d"),
         (lambda: workspace(arm, points=0), ShapeError, "points=0"),
         (lambda: workspace(arm, points=1.5), ShapeError, "points=1.5"),
-        (lambda: workspace(arm, points=5, seed=-1), ConfigError, "seed as an integer >= 0, got -1"),
+        (lambda: workspace(arm, points=5, seed=-1), ConfigError, "seed to be an integer >= 0, got -1"),
         (lambda: manipulability(arm, part="force"), UnknownName, "'force'"),
     ):
         with pytest.raises(error, match=words):

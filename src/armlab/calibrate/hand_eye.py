@@ -88,7 +88,7 @@ def fit_hand_eye(
         rotation vector [rad]), or covariance (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes.
         Default: estimated.
     noise_robot : noise of T_base_tool in the same forms, v in base axes, w in tool axes. It is never estimated, because
-        the data cannot separate the two noises. Default: exact poses.
+        the data cannot distinguish the two noise sources. Default: exact poses.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
     offset : delay of the camera in samples: T_cam_marker[i] shows robot pose i - offset. Requires consecutive, evenly
         spaced samples of a motion. Default: estimated as the last parameter if the motion determines it; it is then

@@ -78,7 +78,7 @@ def gravity_of(gravity: Any) -> np.ndarray:
     g = numbers(gravity, "gravity", ShapeError)
     if g.shape != (3,) or not 0.0 < g @ g < np.inf:
         raise ShapeError(
-            f"Expected gravity as three finite numbers [m/s^2] in base axes, not all zero, got {gravity!r}. "
+            f"Expected gravity to be three finite numbers [m/s^2] in base axes, not all zero, got {gravity!r}. "
             "Pass (0, 0, -9.80665) for an upright base."
         )
     return g

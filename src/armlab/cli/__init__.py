@@ -81,7 +81,7 @@ _EXAMPLES = {  # examples of commands without subcommands
 
 
 def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
-    """Return the application with all commands not yet imported; the requested command `verb` has its own help."""
+    """Return the application; of its commands, only the requested one, `verb`, is imported to provide its help."""
     from cyclopts import App, Parameter
 
     from armlab import __version__

@@ -46,7 +46,7 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
         config: TOML file that describes the cell (robots, sources, parameters and servers); default: from the settings.
         listen: SERVER=ADDRESS or SERVER=INTERFACE: let other computers read from this server, which then accepts no
             commands.
-        seconds: Stop after this much robot time under guidance [s].
+        seconds: Stop after this time under guidance, by the robot's clock [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
     from armlab.cli.support.settings import load_settings, read_text

@@ -209,7 +209,7 @@ def _check_positions(robot: Robot, table: Table) -> None:
 
 
 def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
-    """Refuse a motion faster than the setting `speed`, unless --speed is given."""
+    """Refuse a motion that exceeds the `speed` setting, unless --speed is given."""
     import numpy as np
 
     from armlab.cli.support.settings import load_settings

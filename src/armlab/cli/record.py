@@ -37,7 +37,7 @@ def record(
             runright.mcap.
         lead_through: For an arm led by hand: print the steps first, and warn if the arm does not start in its home
             posture.
-        seconds: Stop after this much robot time [s], counted from the first packet.
+        seconds: Stop after this time, by the robot's clock [s], counted from the first packet.
         patience: Give up after this time without packets [s]; default: wait indefinitely.
     """
     from armlab.bridge.control.recording import paths

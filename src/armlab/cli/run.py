@@ -51,7 +51,7 @@ def run(
         log: Prefix of the log name, to which the time is appended; or a folder, in which case the prefix is the robot's
             name. Default: the log folder of the settings.
         no_log: Record nothing.
-        seconds: Stop after this much robot time under guidance [s].
+        seconds: Stop after this time under guidance, by the robot's clock [s].
         speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: from the settings, else 1.
         wait: Method of waiting for packets: ahead (default, or from the settings), block, or spin (busy waiting on one
             core).

@@ -313,7 +313,7 @@ def sim(
         lockstep: Wait for each reply, and run as fast as the bridge replies; equal seeds produce identical bytes.
         seed: Seed of the noise, the faults and the random hand; for several robots, optionally one seed each, separated
             by commas.
-        seconds: Stop after this much robot time [s]; default: run until Ctrl-C.
+        seconds: Stop after this time, by the robot's clock [s]; default: run until Ctrl-C.
         extension: Also send velocities and torques (research extension, field 101), and accept torque and gain
             commands.
         phase: With several robots: delay of each robot's packets after those of the previous robot [s].
@@ -389,7 +389,7 @@ def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
 def _seeds(seed: str, count: int) -> list[int]:
     words = [word.strip() for word in seed.split(",")]
     if len(words) not in (1, count) or not all(word.isascii() and word.isdigit() and len(word) < 20 for word in words):
-        raise ConfigError(f"Expected --seed as one whole number of at least 0, or one per robot, got {seed!r}.")
+        raise ConfigError(f"Expected --seed to be one whole number of at least 0, or one per robot, got {seed!r}.")
     return [int(word) for word in words] * (count // len(words))
 
 

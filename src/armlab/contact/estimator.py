@@ -140,7 +140,7 @@ def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
     """Return a copy of the point (3,)."""
     place = np.array(numbers(point, "the contact point", ShapeError))
     if place.shape != (3,) or not np.all(np.isfinite(place)):
-        raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
+        raise ShapeError(f"Expected the contact point to be three finite numbers [m], tool axes, got {point!r}.")
     check_distance(place[None], robot)
     return place
 

@@ -249,7 +249,7 @@ def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
     whole = np.vstack([axes, third]) if axes.shape == (2, 3) else np.zeros((3, 3))
     if not np.allclose(whole @ whole.T, np.eye(3), rtol=0.0, atol=inputs.UNIT):
         raise ShapeError(
-            f"Expected axes of a feature as two unit vectors (2, 3) normal to its direction, got shape {axes.shape}. "
+            f"Expected axes of a feature to be unit vectors (2, 3) normal to its direction, got shape {axes.shape}. "
             "Use of() to create a consistent feature."
         )
     axes.flags.writeable = False

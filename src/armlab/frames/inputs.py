@@ -34,7 +34,7 @@ def sightings(p: ArrayLike, visible: ArrayLike | None, what: str) -> tuple[np.nd
     seen = np.ones(array.shape[:2], dtype=bool) if visible is None else np.asarray(visible)
     if seen.shape != array.shape[:2] or seen.dtype != bool:
         raise ShapeError(
-            f"Expected visible as booleans of shape {array.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
+            f"Expected visible to be booleans of shape {array.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
             "Pass one value per point and frame."
         )
     bad = np.flatnonzero((seen & ~np.isfinite(array).all(axis=2)).any(axis=1))
@@ -79,7 +79,7 @@ def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
     C = numbers(noise, "noise", ShapeError)
     if C.shape not in ((3, 3), (count, 3, 3)) or not np.isfinite(C).all():
         raise ShapeError(
-            f"Expected noise as a standard deviation [m] or a covariance (3, 3) or ({count}, 3, 3) [m^2], got shape "
+            f"Expected noise to be a standard deviation [m] or a covariance (3, 3) or ({count}, 3, 3) [m^2], got shape "
             f"{C.shape}."
         )
     each = np.broadcast_to(C, (count, 3, 3))
@@ -96,7 +96,7 @@ def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
 def limit_of(limit: Any) -> float:
     value = number(limit, "limit [rad]")
     if not value > 0.0:
-        raise ShapeError(f"Expected limit as a standard deviation > 0 rad, got {value:g}. The default is 0.2.")
+        raise ShapeError(f"Expected limit to be a standard deviation > 0 rad, got {value:g}. The default is 0.2.")
     return value
 
 
@@ -131,7 +131,7 @@ def pose(T: ArrayLike, what: str) -> np.ndarray:
         array = se3.orthonormalise(array)
     if array.shape != (4, 4) or not se3.is_pose(array):
         raise ShapeError(
-            f"Expected {what} as a pose (4, 4), got shape {array.shape} or a matrix that is not a pose. Apply "
+            f"Expected {what} to be a pose (4, 4), got shape {array.shape} or a matrix that is not a pose. Apply "
             "lie.se3.project to a rounded rotation."
         )
     return array
@@ -145,8 +145,8 @@ def covariance(cov: ArrayLike | None, size: int, what: str) -> np.ndarray | None
     fits = C.shape == (size, size) and np.isfinite(C).all() and np.allclose(C, C.T, rtol=1e-9, atol=0.0)
     if not fits or np.linalg.eigvalsh(C)[0] < -1e-9 * np.trace(C):
         raise ShapeError(
-            f"Expected {what} as a symmetric, positive semidefinite covariance ({size}, {size}), got shape {C.shape}. "
-            "The diagonal must contain squared standard deviations."
+            f"Expected {what} to be a symmetric positive semidefinite covariance ({size}, {size}), got {C.shape}. The "
+            "diagonal must contain squared standard deviations."
         )
     return C
 

@@ -137,7 +137,7 @@ def fit_dynamics(
     UnknownName
         Unknown method.
     ModelMismatchError
-        A prior of another robot.
+        The prior belongs to another robot.
 
     References
     ----------

@@ -114,7 +114,7 @@ def fit_draft(
     progress: Progress = lambda done, total, what: None,
     chooser: Chooser = choose_here,
 ) -> tuple[FitProblem, Pattern]:
-    """Fit the first logs, which determine the nonlinear parameters."""
+    """Fit the first few logs to determine the nonlinear parameters."""
     job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
     draft = make_problem(prepare(tables, robot), robot, base, job)

@@ -63,7 +63,9 @@ class ForceSensor(Shown):
             if name in _MOMENTS and values.shape == shape and all(map(isnan, known[_MOMENTS[name]])):
                 known = known[: 3 * (name == "bias")]
             if values.shape != shape or not all(map(isfinite, known)):
-                raise ShapeError(f"Expected finite {name} of shape {shape} of a force sensor, got {values.tolist()}.")
+                raise ShapeError(
+                    f"Expected a finite {name} of shape {shape} for a force sensor, got {values.tolist()}."
+                )
             object.__setattr__(self, name, values)
         try:
             so3.log(self.R_tool_sensor)

@@ -19,7 +19,7 @@ def point(value: Any, what: str) -> np.ndarray:
     array = np.atleast_1d(numbers(value, what, ShapeError))
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
         came = str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
-        raise ShapeError(f"Expected {what} as finite positions (n,), got {came}. Pass one number per joint.")
+        raise ShapeError(f"Expected {what} to be finite positions (n,), got {came}. Pass one number per joint.")
     return array
 
 
@@ -82,7 +82,7 @@ def kernel_count(value: Any, usual: int) -> int:
 def _per_joint(value: Any, what: str, n: int, allowed: Any, word: str) -> np.ndarray:
     array = numbers(value, what, ShapeError)
     if array.shape not in ((), (n,)):
-        raise ShapeError(f"Expected {what} as one number or of shape ({n},), got shape {array.shape}.")
+        raise ShapeError(f"Expected {what} to be one number or of shape ({n},), got shape {array.shape}.")
     array = np.array(np.broadcast_to(array, (n,)))
     if not np.all(allowed(array)):
         raise ShapeError(f"Expected {what} {word}, got {array.tolist()}. Correct it.")

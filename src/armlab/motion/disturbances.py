@@ -57,7 +57,7 @@ class Push(Shown):
         which = np.arange(n) if self.dofs is None else np.asarray(self.dofs)
         whole = which.ndim == 1 and which.dtype.kind in "iu" and bool(((which >= 0) & (which < n)).all())
         if not whole or not which.size or len(set(which.tolist())) < len(which):
-            raise ShapeError(f"Expected dofs as distinct indices from 0 to {n - 1}, got {self.dofs}.")
+            raise ShapeError(f"Expected dofs to be distinct indices from 0 to {n - 1}, got {self.dofs}.")
         velocity = numbers(self.velocity, "velocity", ShapeError)
         if velocity.shape not in ((), which.shape):
             raise ShapeError(

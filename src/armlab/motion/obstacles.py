@@ -52,7 +52,7 @@ class Capsule(Shown):
             if name == "velocity" and not point.ndim:
                 point = np.full(len(self.a), float(point))
             if point.ndim != 1 or len(point) not in (2, 3) or not np.isfinite(point).all():
-                raise ShapeError(f"Expected {name} as a finite point (2,) or (3,), got shape {point.shape}.")
+                raise ShapeError(f"Expected {name} to be a finite point (2,) or (3,), got shape {point.shape}.")
             object.__setattr__(self, name, point)
         radius = number(self.radius, "radius [m]")
         if not self.a.shape == self.b.shape == np.shape(self.velocity) or not 0.0 <= radius < np.inf:

@@ -352,7 +352,7 @@ def pose(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
     array = numbers(value, what, ShapeError)
     if array.shape not in ((4, 4), (7,)):
         raise ShapeError(
-            f"Expected {what} as a pose (4, 4), or (7,): position, quaternion wxyz, got shape {array.shape}."
+            f"Expected {what} to be a pose (4, 4), or (7,): position, quaternion wxyz, got shape {array.shape}."
         )
     p, q = poses(array[None], what)
     return p[0], q[0]
@@ -385,7 +385,7 @@ def orientation(value: ArrayLike, what: str) -> np.ndarray:
     """Return unit quaternions (..., 4), the first with the sign of the conversion from a rotation matrix."""
     q = numbers(value, what, ShapeError)
     if q.shape[-1:] != (4,):
-        raise ShapeError(f"Expected {what} as quaternions wxyz (..., 4), got shape {q.shape}.")
+        raise ShapeError(f"Expected {what} to be quaternions wxyz (..., 4), got shape {q.shape}.")
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.abs(length - 1.0) <= LENGTH):
         off = float(length.flat[np.argmax(np.abs(length - 1.0))])

@@ -82,7 +82,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         for name in ("e0", "e_scale"):
             values = numbers(getattr(self, name), name, ShapeError)
             if values.shape not in ((), (self.dmp.n,)):
-                raise ShapeError(f"Expected {name} as one number or {self.dmp.n} numbers, got shape {values.shape}.")
+                raise ShapeError(f"Expected {name} to be one number or {self.dmp.n} numbers, got shape {values.shape}.")
             least = 0.0 if name == "e0" else np.finfo(float).tiny
             if not ((values >= least) & np.isfinite(values)).all():
                 raise ShapeError(f"Expected {name} {'of at least' if name == 'e0' else 'above'} 0, got {values}.")

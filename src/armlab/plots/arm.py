@@ -191,7 +191,7 @@ def _sample(robot: Robot, points: int, seed: int) -> np.ndarray:
     if not isinstance(points, int | np.integer) or points < 1:
         raise ShapeError(f"Expected at least one point for the workspace of {robot.name}, got points={points!r}.")
     if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ConfigError(f"Expected seed as an integer >= 0, got {seed!r}.")
+        raise ConfigError(f"Expected seed to be an integer >= 0, got {seed!r}.")
     low = np.where(np.isinf(robot.q_min), -np.pi, robot.q_min)
     high = np.where(np.isinf(robot.q_max), np.pi, robot.q_max)
     endless = robot.prismatic & (np.isinf(robot.q_min) | np.isinf(robot.q_max))

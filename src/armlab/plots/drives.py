@@ -150,7 +150,7 @@ def friction_map(
     torque = _sliding(model, joint, q, qd)
     cuts = np.linspace(q[0], q[-1], _SLICES + 2)[1:-1] if slices is None else numbers(slices, "slices", ShapeError)
     if cuts.ndim != 1 or not len(cuts) or not np.isfinite(cuts).all():
-        raise ShapeError(f"Expected slices as finite positions (k,) [rad], got {slices!r}.")
+        raise ShapeError(f"Expected slices to be finite positions (k,) [rad], got {slices!r}.")
     with panels(1, 2, ax, width=11.0, height=3.8, width_ratios=(3, 2)) as (figure, axes):
         left, right = axes[0]
         mesh = left.pcolormesh(q, qd, torque.T, cmap="cividis", shading="nearest", rasterized=True)

@@ -265,7 +265,7 @@ def promp(
         `promp`.
     prior : distribution before conditioning, drawn in grey.
     points : via-points (t, y) with time t [s] and position y (n,).
-    samples : number of random motions to draw from the distribution, as dotted lines.
+    samples : number of random motions to sample from the distribution and plot as dotted lines.
     seed : random seed of these motions.
     ax : n Axes to draw into; default: a new figure.
 
@@ -337,7 +337,7 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
     expect(run, TwoDofRun)
     which = range(run.yc.shape[1]) if dofs is None else dofs
     if not all(isinstance(i, int | np.integer) and 0 <= i < run.yc.shape[1] for i in which):
-        raise ShapeError(f"Expected dofs as numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
+        raise ShapeError(f"Expected dofs to be numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
     with panels(3, 1, ax, width=8.0, height=2.0, sharex=True) as (figure, axes):
         position, error, slower = axes[:, 0]
         for i in which:

@@ -209,7 +209,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     """
     size = numbers(frames, "frames", ShapeError)
     if size.ndim or not 0.0 <= size < np.inf:
-        raise ShapeError(f"Expected frames as a length >= 0 m, got {frames!r}. 0 is the default.")
+        raise ShapeError(f"Expected frames to be a length >= 0 m, got {frames!r}. 0 is the default.")
     frames = float(size)
     checked = [_checked(item) for item in items]
     with look():

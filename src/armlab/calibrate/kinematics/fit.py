@@ -151,7 +151,7 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
         return np.zeros(3)
     found = numbers(anchor, "anchor", ShapeError)
     if found.shape != (3,) or not np.isfinite(found).all():
-        raise ShapeError(f"Expected anchor as three finite numbers [m], got {anchor!r}.")
+        raise ShapeError(f"Expected anchor to be three finite numbers [m], got {anchor!r}.")
     return found
 
 

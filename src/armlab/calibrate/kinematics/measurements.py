@@ -57,8 +57,8 @@ def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
     far = np.abs(q[:, ~robot.prismatic])
     if far.size and far.max() > DEGREES:
         raise ShapeError(
-            f"Expected joint angles in radians, got up to {far.max():.4g} in {name}. They seem to be in degrees: use "
-            "numpy.deg2rad."
+            f"Expected joint angles in radians, got values up to {far.max():.4g} in {name}. They seem to be in "
+            "degrees: use numpy.deg2rad."
         )
     return q
 
@@ -78,7 +78,7 @@ def check_harmonics(value: Any) -> tuple[int, ...]:
     """Return the orders of the harmonics; raise an error unless they are distinct positive integers."""
     orders = numbers(list(value), "harmonics", ConfigError) if len(value) else np.zeros(0)
     if orders.ndim != 1 or np.any(orders < 1) or np.any(orders % 1) or len(set(orders.tolist())) != len(orders):
-        raise ConfigError(f"Expected harmonics as distinct positive integers, such as (1, 2), got {value!r}.")
+        raise ConfigError(f"Expected harmonics to be distinct positive integers, such as (1, 2), got {value!r}.")
     return tuple(int(k) for k in orders)
 
 

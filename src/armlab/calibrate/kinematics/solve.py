@@ -448,7 +448,7 @@ def length_angle(value: Any, what: str) -> tuple[float, float]:
     """Return a pair (metres, radians) from one or two positive numbers."""
     pair = numbers(value, what, ConfigError)
     if pair.shape not in ((), (2,)) or not np.all(pair > 0) or not np.isfinite(pair).all():
-        raise ConfigError(f"Expected {what} as one or two positive numbers [m, rad], got {value!r}.")
+        raise ConfigError(f"Expected {what} to be one or two positive numbers [m, rad], got {value!r}.")
     length, angle = np.broadcast_to(pair, (2,))
     return float(length), float(angle)
 

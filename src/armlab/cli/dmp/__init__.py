@@ -125,7 +125,7 @@ def play(
         speed: Fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         firm: Do not wait for a held arm: send the path open loop.
         log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: dmp.mcap in the log folder.
-        force: Replace an existing --output file, and play a joint-space primitive taught on another robot.
+        force: Replace an existing --output file, and allow a joint-space primitive taught on another robot.
     """
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out
     from armlab.cli.support.settings import log_folder

@@ -49,7 +49,9 @@ def numbers_in(text: str | None, option: str) -> np.ndarray | None:
     try:
         return None if text is None else np.array([float(word) for word in text.split(",")])
     except ValueError:
-        raise ConfigError(f"Expected --{option} as comma-separated numbers, such as 0.1,0.2, got {text!r}.") from None
+        raise ConfigError(
+            f"Expected --{option} to be comma-separated numbers, such as 0.1,0.2, got {text!r}."
+        ) from None
 
 
 @as_given()

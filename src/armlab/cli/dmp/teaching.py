@@ -53,7 +53,7 @@ class MotionWindow:
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
-                raise ConfigError(f"Expected --{name} as a time of the log [s], got {value:g}.")
+                raise ConfigError(f"Expected --{name} to be a time of the log [s], got {value:g}.")
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:

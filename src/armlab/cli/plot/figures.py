@@ -47,7 +47,7 @@ def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figu
     """Draw the position and rotation vector of the tool against time.
 
     Parameters:
-        log: Recording with poses, or with q and --robot.
+        log: Recording with poses, or with q if --robot is given.
     """
     path = figure.path(log, "poses")
     read = figure.read(log, robot)
@@ -67,11 +67,11 @@ def scene(
     """Draw tool paths, measured points, planes and frames in space.
 
     Parameters:
-        logs: Recordings with poses, or with q and --robot. Each log is drawn as a path.
+        logs: Recordings with poses, or with q if --robot is given. Each log is drawn as a path.
         cloud: File of points measured by a laser tracker.
         plane: File of a plane measured by a laser tracker.
-        pose: MAT file of a frame, which is labelled with the file name.
-        frames: Length of the frames along paths [m]; 0 draws no frames.
+        pose: MAT file that contains a frame; the file name is its label.
+        frames: Axis length of the frames drawn along paths [m]; 0 draws none.
     """
     from armlab.log import nikon
 

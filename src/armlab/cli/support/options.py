@@ -81,7 +81,7 @@ def take_robot_options(words: Sequence[str]) -> list[str]:
 
 
 def load_robot(word: str) -> Robot:
-    """Return the robot of a command; for a URDF, the arm selected by --base, --tip and --lock."""
+    """Return the robot named on the command line; for a URDF, the arm selected by --base, --tip and --lock."""
     from armlab.robots.files import load_chosen
 
     return load_chosen(word, _chosen)
@@ -168,4 +168,4 @@ def seconds_in(text: str, option: str) -> float:
         seconds = float(found[1]) * {"us": 1e-6, "ms": 1e-3}.get(found[2] or "s", 1.0) if found else math.nan
         if seconds > 0.0 and math.isfinite(seconds):
             return seconds
-    raise ConfigError(f"Expected --{option} as a time above 0, such as 20ms or 0.02s, got {text!r}.")
+    raise ConfigError(f"Expected --{option} to be a time above 0, such as 20ms or 0.02s, got {text!r}.")

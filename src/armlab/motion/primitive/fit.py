@@ -148,7 +148,7 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
     if isinstance(pin, str):
-        raise ConfigError(f"Expected pin as a tuple of names, got the string {pin!r}. Write ({pin!r},).")
+        raise ConfigError(f"Expected pin to be a tuple of names, got the string {pin!r}. Write ({pin!r},).")
     for name in members(pin, "pin"):
         check_name(name, "end to pin", ENDS)
     return tuple(name for name in pin if name not in known)
@@ -164,7 +164,9 @@ def _limits(limits: Any, n: int) -> np.ndarray | None:
     if limits is None:
         return None
     if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
-        raise ShapeError(f"Expected limits as the lowest and highest goal (n,), got {limits!r}. Pass two points.")
+        raise ShapeError(
+            f"Expected limits to be the lowest and the highest goal, each (n,), got {limits!r}. Pass two points."
+        )
     return np.array([coordinates(a, "limits", n) for a in limits])
 
 

@@ -345,7 +345,7 @@ class SimulatedArm:
         """
         q = np.array(q, dtype=np.float64)
         if q.shape != (self.robot.n,) or not np.isfinite(q).all():
-            raise ShapeError(f"Expected a finite posture of shape ({self.robot.n},), got shape {q.shape}.")
+            raise ShapeError(f"Expected a finite posture of shape ({self.robot.n},), got {q.tolist()}.")
         self._q[:], self._qd[:], self._half[:], self._qdd[:] = q, 0.0, 0.0, 0.0
         self._body.rnea(self._q, self._qd, self._still, out=self._bias)
         self.friction.reset()

@@ -119,7 +119,7 @@ class _Node:
         return None if self.numbers else self.size
 
     def min_size(self, wide: bool) -> int:
-        """Return the number of bytes of the smallest value; `wide`: numbers have 4 bytes."""
+        """Return the minimum encoded size of a value in bytes; `wide`: each number takes 4 bytes."""
         return self.size + self.numbers * (4 if wide else 1)
 
     def signature(self, dialect: str = "2014v1") -> bytes:
