@@ -27,7 +27,7 @@ SUMMARY = """\
 Contenders run in alternating blocks on the same data, after a check that they compute the same results. There is one
 row per benchmark, with armlab's first measurement (median) and the fastest contender. A ratio below 1 means that armlab
 is faster. Targets are the project's own limits for ratios. [All measurements](benchmarks_all.md) lists every
-contender with quartiles, every target and the method.
+contender with quartiles, every target with the reason for each miss, and the method.
 """
 
 
