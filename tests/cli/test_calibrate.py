@@ -172,7 +172,7 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     assert not judge(held).good
     rough = replace(fit, sigma=np.array([0.03, 0.001]))
     assert judge(rough).bad == [
-        "Noise of position [m] of 0.03 is too large for a sensor, so some samples are probably wrong."
+        "The noise of position [m], 0.03, is too large for a sensor, so some samples are probably wrong."
     ]
     asked = replace(fit, doubts=("positions spread over 465 m: millimetres given as metres?",))
     assert judge(asked).bad == ["Positions spread over 465 m: millimetres given as metres?"]
@@ -262,7 +262,7 @@ def test_kinds_may_be_mixed_over_files(nominal: str, tmp_path: Path, command, ru
     assert "(position: m, distance: m)" in command(["calibrate", *words, "--noise", "1e-4"], 2).err
     assert "points.csv twice" in command(["calibrate", "kinematics", nominal, one, one], 2).err
     nothing = samples_csv(tmp_path / "nothing.csv", {"q": arm.q})
-    assert "one of pose, position, distance" in command(["calibrate", "kinematics", nominal, nothing], 1).err
+    assert "one of the columns pose, position, distance" in command(["calibrate", "kinematics", nominal, nothing], 1).err
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])
@@ -297,7 +297,7 @@ def test_two_arms_that_hold_each_other(tmp_path: Path, command, run) -> None:
     for robot in (pair.robot_a, pair.robot_b):
         robots.save(robot, tmp_path / f"{robot.name}.toml")
     arms = [str(tmp_path / f"arm_{letter}.toml") for letter in "ab"]
-    assert "one of pose, position, absolute_a" in command(["calibrate", "dual-arm", *arms, path], 1).err
+    assert "one of the columns pose, position, absolute_a" in command(["calibrate", "dual-arm", *arms, path], 1).err
     q = joined(pair)
     held = samples_csv(tmp_path / "held.csv", {"q_a": q[0], "q_b": q[1]})
     words = ["dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4"]

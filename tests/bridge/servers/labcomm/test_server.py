@@ -94,7 +94,7 @@ def test_commands_come_whole_from_any_cut(start: Start) -> None:
         cut.socket.close()
         until(lambda: one.server.counts["left"]["clients"] == 1)
     assert taken == [0]
-    assert any("the end after" in text for text in one.said)
+    assert any("the end of the stream after" in text for text in one.said)
 
 
 @pytest.mark.parametrize("dialect", ["2014v1", "2014", "2014i", "2013", "2006"])
