@@ -253,8 +253,7 @@ def energy(
     Returns
     -------
     kinetic : (...) kinetic energy [J].
-    potential : (...) potential energy [J]. For a robot, it is zero for masses at the origin of the base. For a model,
-        it is zero at q = 0.
+    potential : (...) potential energy [J]: of a robot relative to the base origin, of a model relative to q = 0.
 
     Raises
     ------
