@@ -262,7 +262,7 @@ def test_kinds_may_be_mixed_over_files(nominal: str, tmp_path: Path, command, ru
     assert "(position: m, distance: m)" in command(["calibrate", *words, "--noise", "1e-4"], 2).err
     assert "points.csv twice" in command(["calibrate", "kinematics", nominal, one, one], 2).err
     nothing = samples_csv(tmp_path / "nothing.csv", {"q": arm.q})
-    assert "one of the columns pose, position, distance" in command(["calibrate", "kinematics", nominal, nothing], 1).err
+    assert "of the columns pose, position, distance" in command(["calibrate", "kinematics", nominal, nothing], 1).err
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])
