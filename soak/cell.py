@@ -32,7 +32,7 @@ _SERVED = "ros2", "rmw_zenoh", "zenoh", "rosbridge", "plotjuggler", "labcomm", "
 
 
 def run(folder: Path, seconds: float) -> dict[str, Any]:
-    """Run the test and return its description, see `series.told`.
+    """Run the test and return its description, see `series.description`.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ def _watched(folder: Path, bridge: Program, commander: Program, seconds: float) 
             with contextlib.suppress(OSError):
                 yield pid, label(pid, bridge.process.pid)
 
-    begin, until, told, cut_off = time.time_ns(), time.monotonic() + seconds, 0.0, ""
+    begin, until, reported, cut_off = time.time_ns(), time.monotonic() + seconds, 0.0, ""
     with Watch(folder / "held.csv", max(seconds / _LOOKS, 0.5), processes) as watch:
         try:
             while (left := until - time.monotonic()) > 0.0 and bridge.process.poll() is None:
-                if seconds - left >= told:
+                if seconds - left >= reported:
                     print(f"  {seconds - left:.0f} of {seconds:.0f} s", flush=True)
-                    told += seconds / 10.0
+                    reported += seconds / 10.0
                 watch.pause(min(left, 1.0))
         except KeyboardInterrupt:
             cut_off = "a signal"

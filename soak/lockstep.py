@@ -22,7 +22,7 @@ _LOOK = 2.0  # s between two samples of the processes, at most, so that the last
 
 
 def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
-    """Run the test and return its description, see `series.told`.
+    """Run the test and return its description, see `series.description`.
 
     Parameters
     ----------
@@ -58,16 +58,16 @@ def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
 def _wait(program: Program, watch: Watch, folder: Path, most: float) -> str:
     """Wait until the program ends; return the reason for an early end, if any."""
     begin = time.monotonic()
-    told = begin
+    reported = begin
     try:
         print("  Running; Ctrl-C aborts the run, which is then assessed all the same.", flush=True)
         while (status := program.process.poll()) is None:
             if time.monotonic() - begin > most:
                 return "--most"
-            if time.monotonic() - told > 60.0:
-                told = time.monotonic()
+            if time.monotonic() - reported > 60.0:
+                reported = time.monotonic()
                 size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
-                print(f"  {told - begin:.0f} s elapsed, {1e-6 * size:.0f} MB recorded", flush=True)
+                print(f"  {reported - begin:.0f} s elapsed, {1e-6 * size:.0f} MB recorded", flush=True)
             watch.pause(0.1)
     except KeyboardInterrupt:
         return "a signal"

@@ -18,8 +18,8 @@ def page(text: str, results: Mapping[str, Mapping[str, Any]]) -> str:
     for name, result in results.items():
         before, rest = text.split(f"<!-- {name} -->\n")
         _, after = rest.split(f"<!-- end of {name} -->\n")
-        told = "\n".join(_part(name, result))
-        text = f"{before}<!-- {name} -->\n{told}\n<!-- end of {name} -->\n{after}"
+        shown = "\n".join(_part(name, result))
+        text = f"{before}<!-- {name} -->\n{shown}\n<!-- end of {name} -->\n{after}"
     return text
 
 

@@ -60,18 +60,18 @@ def main() -> int:
         folder.mkdir(parents=True)
         print(f"Soak test {options.part}: {options.seconds:g} s, results in {folder}.", flush=True)
         if options.part == "real_time":
-            told = cell.run(folder, options.seconds)
+            about = cell.run(folder, options.seconds)
         else:
-            told = lockstep.run(folder, options.seconds, options.most)
-        told["date"] = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(1e-9 * told["begin"]))
-        told["machine"] = describe(PACKAGES)
-        (folder / "told.json").write_text(json.dumps(told, indent=1))
+            about = lockstep.run(folder, options.seconds, options.most)
+        about["date"] = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(1e-9 * about["begin"]))
+        about["machine"] = describe(PACKAGES)
+        (folder / "description.json").write_text(json.dumps(about, indent=1))
     return judge(folder)
 
 
 def judge(folder: Path) -> int:
     """Assess a soak test, draw its figure, print a line for each quantity, and return the exit status."""
-    about, held = series.told(folder), series.held(folder)
+    about, held = series.description(folder), series.held(folder)
     recorded, clients = series.recorded(folder), series.clients(folder)
     found = judged(about, held, recorded, clients)
     draw(about, held, recorded, clients, folder / "soak.png")

@@ -13,7 +13,7 @@ import numpy as np
 from armlab import log
 from soak.processes import COLUMNS
 
-__all__ = ["Held", "Recorded", "clients", "held", "levels", "recorded", "told"]
+__all__ = ["Held", "Recorded", "clients", "description", "held", "levels", "recorded"]
 
 _STRETCHES = 200  # of a run, for the latency of the loop
 _SHORTEST = 0.5e9  # ns, length of a segment
@@ -46,9 +46,9 @@ class Recorded(NamedTuple):
     seconds: float
 
 
-def told(folder: Path) -> dict[str, Any]:
+def description(folder: Path) -> dict[str, Any]:
     """Return the description of a run: beginning and end of monitoring, "begin" and "end" [ns], and more."""
-    return json.loads((folder / "told.json").read_text())
+    return json.loads((folder / "description.json").read_text())
 
 
 def held(folder: Path) -> dict[str, Held]:
@@ -64,7 +64,7 @@ def held(folder: Path) -> dict[str, Held]:
 
 def recorded(folder: Path) -> dict[str, Recorded]:
     """Return the recordings by file name without the date."""
-    about = told(folder)
+    about = description(folder)
     paths = sorted(folder.glob("*.mcap"))
     return {
         re.sub(r"-\d+T\d+Z", " ", path.stem).strip(): _recorded(path, about["begin"], about["end"]) for path in paths
@@ -94,7 +94,7 @@ def _recorded(path: Path, begin: int, end: int) -> Recorded:
 
 def clients(folder: Path) -> dict[str, np.ndarray]:
     """Return (N, 4) by client: time [s], messages, and median and longest delay from stamp to receipt [s]."""
-    about, found = told(folder), {}
+    about, found = description(folder), {}
     for name in about.get("clients", ()):
         lines = (folder / f"{name}.out").read_text().splitlines()
         all_of_it = np.array([line.split() for line in lines], dtype=np.int64).reshape(-1, 4)
