@@ -204,6 +204,14 @@ def test_a_model_comes_back_bit_equal(tmp_path: Path, model) -> None:
     assert path.stat().st_size < 1_000_000
 
 
+def test_the_covariance_of_the_parameters_comes_back_and_may_be_missing(tmp_path: Path, model) -> None:
+    assert model.parameters is not None, "the fit gives it"
+    found = load(save(model, tmp_path / "model.toml")).parameters
+    for name in ("columns", "lower", "mean"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(model.parameters, name))
+    assert load(save(replace(model, parameters=None), tmp_path / "older.toml")).parameters is None
+
+
 def test_a_model_keeps_the_parts_of_its_drives(truth, tmp_path: Path, model) -> None:
     *_, over, lines = values(truth)
     more = replace(model, friction_map=over, lines=lines, gains=model.gains * 1.01)
