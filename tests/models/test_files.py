@@ -204,11 +204,7 @@ def test_a_model_comes_back_bit_equal(tmp_path: Path, model) -> None:
     assert path.stat().st_size < 1_000_000
 
 
-def test_the_covariance_of_the_parameters_comes_back_and_may_be_missing(tmp_path: Path, model) -> None:
-    assert model.parameters is not None, "the fit gives it"
-    found = load(save(model, tmp_path / "model.toml")).parameters
-    for name in ("columns", "lower", "mean"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(model.parameters, name))
+def test_an_older_file_lacks_the_covariance_of_the_parameters(tmp_path: Path, model) -> None:
     assert load(save(replace(model, parameters=None), tmp_path / "older.toml")).parameters is None
 
 
