@@ -87,8 +87,8 @@ def assess(
     earlier model `before` is given, joints at rest keep its figures.
 
     The estimator adds the torque variance of the parameters beyond its mean over this record. Held-out errors contain
-    this part, so the covariance is fitted to errors divided by ``sqrt(1 + r)``, with r the ratio of
-    this variance to the squared errors.
+    this part, so the covariance is fitted to errors divided by ``sqrt(1 + r)``, with r such that the sum of both covers
+    as many errors of the joint as the covariance of all errors.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -105,7 +105,7 @@ def assess(
     between = np.zeros(model.n)
     between[slice(None) if joints is None else joints] = 0.0 if drift is None else drift
     shown, beyond = _of_parameters(model, data, moving)
-    ratio = np.sum(beyond, axis=0, where=moving) / np.maximum(np.sum(errors**2, axis=0, where=moving), NOTHING)
+    ratio = _share(errors, beyond, data.qd, moving)
     left = errors / np.sqrt(1.0 + ratio)
     covariance = _covariance(left, data.qd, moving)
     inside = np.zeros(model.n)
@@ -132,6 +132,17 @@ def assess(
     return replace(
         judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data, between, ratio)
     )
+
+
+def _share(errors: np.ndarray, beyond: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Return r (n,): a covariance divided by 1 + r, plus `beyond`, covers as many errors as the whole."""
+    variance, ratio = _covariance(errors, qd, moving).variance(qd), np.zeros(len(moving.T))
+    for i, rows in enumerate(moving.T):
+        if beyond[rows, i].any():
+            excess = np.stack([errors[rows, i] ** 2, errors[rows, i] ** 2 - SIGMAS**2 * beyond[rows, i]])
+            whole, rest = np.quantile(excess / variance[rows, i], COVERAGE, axis=1)
+            ratio[i] = max(whole / rest - 1.0, 0.0) if rest > 0 else 0.0
+    return ratio
 
 
 def _of_parameters(model: TorqueModel, data: Record, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
