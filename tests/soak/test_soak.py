@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -281,14 +282,17 @@ def test_a_run_that_is_cut_off_is_judged_and_says_so(way: str, tmp_path: Path) -
     words += ["--most", "1"] if way == "--most" else []
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
+        too_late = Timer(60.0, child.kill)
+        too_late.start()
         said = ""
-        while "judged all the same" not in said:
+        while "Running" not in said:
             line = child.stdout.readline()
             assert line, said
             said += line
         if way != "--most":
             child.send_signal(signal.SIGTERM)
         said += child.stdout.read()
+        too_late.cancel()
     assert child.returncode == 1
     assert f"FAIL cut off by {way}" in said
     assert "FAIL duration, shorter than requested by" in said
