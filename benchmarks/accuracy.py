@@ -1,7 +1,7 @@
-"""Accuracy of the estimated force over many seeds; --publish writes docs/accuracy.md.
+"""Accuracy of the estimated contact force over many seeds; --publish writes docs/accuracy.md.
 
 python benchmarks/accuracy.py                 20 seeds, about 30 s each
-python benchmarks/accuracy.py --seeds 3 a quick look
+python benchmarks/accuracy.py --seeds 3       quick look
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ GAINS = 0.05
 WHAT = f"""\
 # Accuracy of the estimated force
 
-This page lists the force error and the interval coverage of each estimator method, in simulation and on a real arm.
-`python benchmarks/accuracy.py` runs the protocol for {{count}} seeds on the simulated YuMi ({{robot}}). For each seed,
-a model is identified from 60 s of excitation. The test log contains 60 s of other motion with pushes of 5 N in random
-directions, two presses of 500 g during a dither, and the same two presses at rest. Motions, noise and pushes
-differ between seeds. The estimator receives only the logs. With unknown gains, every torque sensor is off by an unknown
-factor of up to {100 * GAINS:.0f} %.
+This page reports the contact force error and interval coverage of each estimator method, in simulation and on real
+arms. It also compares parameters fitted to the two halves of a log.
 
-Each cell contains the median over seeds with minimum and maximum. Errors are for the worst axis; coverage is for all
-axes. The targets apply to every seed. If the minimum or maximum exceeds a target, at least one seed misses it. Edges
-are the first {protocol.EDGE:g} s of each ramp.
+`python benchmarks/accuracy.py` runs the test protocol with {{count}} seeds on a simulated YuMi arm (`{{robot}}`). For
+each seed, a model is identified from 60 s of excitation and then tested on a second log. The test log contains 60 s of
+a different motion with 5 N pushes in random directions, two 500 g presses during a dither, and the same two presses at
+rest. Motions, noise and pushes differ between seeds. The estimator has access only to the logs. In the tests with
+unknown gains, every torque sensor has a gain error of up to {100 * GAINS:.0f} %.
+
+Each cell gives the median over all seeds, with the minimum and maximum in parentheses. Errors are those of the worst
+axis; coverage is computed over all axes. Targets apply to every seed, so at least one seed misses a target if the
+minimum or maximum lies outside it. *Edges* are the first {protocol.EDGE:g} s of each ramp.
 """
 BARS: tuple[tuple[str, str, str, Callable[[Score], object]], ...] = (
     ("force error during pushes, RMS, worst axis [N]", "1.0", "1.5", lambda s: s.rms.max()),
@@ -45,7 +47,7 @@ BARS: tuple[tuple[str, str, str, Callable[[Score], object]], ...] = (
 
 def main() -> int:
     """Run all seeds and print the tables."""
-    parser = argparse.ArgumentParser(description="Accuracy of the estimated force.")
+    parser = argparse.ArgumentParser(description="Accuracy of the estimated contact force.")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--robot", default="yumi_left")
     parser.add_argument("--publish", action="store_true", help="also write docs/accuracy.md")

@@ -1,4 +1,4 @@
-"""Monte Carlo cases in parallel on all cores; for errors, which do not depend on the core, but never for times."""
+"""Parallel Monte Carlo cases on all cores: for errors, which do not depend on the core, but never for times."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ Result = TypeVar("Result")
 
 
 def on_all_cores(case: Callable[..., Result], *arguments: Iterable[Any]) -> list[Result]:
-    """Return the results of a module's function for each set of arguments, in order, computed by several processes."""
+    """Return the results of a module's function for each set of arguments, in order, from several processes."""
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         return list(pool.map(case, *arguments))

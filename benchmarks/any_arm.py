@@ -1,10 +1,10 @@
-"""The demo on other arms from their descriptions: worst force error of five seeds relative to its scaled target.
+"""Demo on other arms from their descriptions: worst force error of five seeds relative to a scaled target.
 
-The target of an arm is that of a YuMi, scaled by the force error that 1 % of the torque limits causes at home
+The target of an arm is that of a YuMi, scaled by the force error at home caused by 1 % of the torque limits
 (`armlab.cli.demo.force_unit`).
 
 python benchmarks/any_arm.py                 all arms, five seeds each, about ten minutes
-python benchmarks/any_arm.py panda ur5e some arms
+python benchmarks/any_arm.py panda ur5e      some arms
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from armlab.errors import RobotError, UnknownName
 
 __all__ = ["ARMS", "SCARA", "demo"]
 
-# arms of the library, of example-robot-data and robot_descriptions, and a file, each with the options it needs
+# arms of the library, example-robot-data and robot_descriptions, and a file, each with its demo options
 ARMS: dict[str, list[str]] = {
     "panda": [],
     "ur5e": [],
     "iiwa14": [],
     "irb2400": [],  # coupled axes
     "scara.urdf": [],
-    "panda_description": ["--tip", "panda_hand"],  # as ur5_robot in example-robot-data
+    "panda_description": ["--tip", "panda_hand"],  # like ur5_robot, from example-robot-data
     "ur5_robot": ["--tip", "tool0"],
-    "gen3_description": [],  # fetched by robot_descriptions, which needs the network once
+    "gen3_description": [],  # downloaded once by robot_descriptions
     "iiwa14_description": [],
 }
 SEEDS = range(5)
@@ -62,7 +62,7 @@ SCARA = """<robot name="scara4"><link name="base"/>
 def demo(name: str, seed: int, folder: Path) -> dict[str, Any]:
     """Run the demo in lockstep in a new folder and return its summary.
 
-    Raises UnknownName or RobotError if the description is not installed and cannot be fetched.
+    Raises UnknownName or RobotError if the description is not installed and cannot be downloaded.
     """
     words, robot = ARMS[name], name
     if name.endswith(".urdf"):

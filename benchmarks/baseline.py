@@ -1,8 +1,8 @@
-"""Stored figures for comparison with a run: `baseline.json`, written by `--publish`.
+"""Comparison of a run with stored figures: `baseline.json`, written by `--publish`.
 
-Times from two machines are not compared. Instead, ratios of armlab's time to that of a peer in the same run are
-compared, because they are nearly the same on both machines. A benchmark without a peer is compared by its own figures:
-times only on the same processor, values in other units (such as errors in N) on any processor.
+Times from two machines are not compared. The comparison uses ratios of armlab's time to a peer's time in the same run,
+because they are nearly the same on both machines. A benchmark without a peer is compared by its own figures: times only
+on the same processor, values in other units (such as errors in N) on any processor.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from blocks import TIMES, Figure
 from report import Section
 
 PATH = Path(__file__).with_name("baseline.json")
-OF_THE_PROCESSOR = (*TIMES, "%")  # units of shares of time or of rows
-LEAST = 1.1  # factors on times: smaller changes are noise, whatever the quartiles
-ONCE = 1.5  # the same for single measurements, which have no quartiles
+OF_THE_PROCESSOR = (*TIMES, "%")  # units that depend on the processor: times, shares of time or of rows
+LEAST = 1.1  # factor on times: smaller changes are noise, regardless of the quartiles
+ONCE = 1.5  # the same factor for single measurements, which have no quartiles
 
 
 class Change(NamedTuple):
-    """One figure and the stored figure, both with quartiles, and their ratio."""
+    """A new and a stored figure, both with quartiles, and their ratio."""
 
     table: str
     contender: str
@@ -33,12 +33,12 @@ class Change(NamedTuple):
 
     @property
     def times(self) -> float:
-        """New value divided by the old value; above 1, armlab has become slower or its error larger."""
+        """New value over old value; above 1, armlab has become slower or its error larger."""
         return self.now[0] / self.before[0]
 
     @property
     def is_clear(self) -> bool:
-        """Whether the quartile ranges are disjoint and the change exceeds the noise."""
+        """Whether the quartile ranges are disjoint and the change exceeds the noise level."""
         apart = self.now[1] > self.before[2] or self.now[2] < self.before[1]
         least = ONCE if any(one[1] == one[2] for one in (self.before, self.now)) else LEAST
         return apart and not 1 / least <= self.times <= least
@@ -55,7 +55,7 @@ class Comparison(NamedTuple):
 
 
 def store(date: str, machine: str, sections: Sequence[Section]) -> None:
-    """Store the figures of a whole run as the baseline."""
+    """Store the figures of a complete run as the baseline."""
     kept = {f"{table}: {name}": {kind: list(value)} for table, name, kind, value in _values(sections)}
     text = json.dumps({"date": date, "machine": machine, "figures": kept}, indent=1, ensure_ascii=False)
     PATH.write_text(text + "\n", encoding="utf-8")
@@ -64,8 +64,8 @@ def store(date: str, machine: str, sections: Sequence[Section]) -> None:
 def compare(machine: str, sections: Sequence[Section], whole: bool) -> Comparison | None:
     """Return the comparison of a run with the baseline, or None if there is no baseline.
 
-    `machine` is the line of `machine.describe` that names the processor. `whole` means that all benchmarks ran, so that
-    figures of the baseline without a counterpart are missing.
+    `machine` is the line of `machine.describe` that names the processor. `whole` means that all benchmarks ran, so
+    baseline figures without a counterpart are reported as missing.
     """
     if not PATH.exists():
         return None
@@ -90,7 +90,7 @@ def render(comparison: Comparison | None) -> list[str]:
         "## Compared with the baseline",
         "",
         f"Baseline: {comparison.date}, {comparison.machine} {len(changes)} common figures; {len(clear)} differ by "
-        f"more than a tenth with disjoint quartiles (by half if measured once), {sum(one.times > 1 for one in clear)} "
+        f"more than 10 % with disjoint quartiles (by 50 % if measured once), {sum(one.times > 1 for one in clear)} "
         "of them for the worse. The comparison uses ratios (armlab's time / the peer's time) and values other than "
         "times; times are compared only on the same processor.",
         "",

@@ -1,4 +1,4 @@
-"""A million poses in one call, with and without Jacobians, into new and reused memory, compared with the machine's
+"""Large batches: a million poses per call, with and without Jacobians, into new and reused memory, and the machine's
 limits.
 """
 
@@ -20,18 +20,18 @@ from armlab import kinematics, robots
 from armlab.robots import Robot
 
 ROBOT = "yumi_right"
-IN_CACHE = 500  # poses whose results, Jacobians too, stay in the second-level cache
-REFERENCE_BLOCK = 1000  # where the reference kernel is fastest
+IN_CACHE = 500  # poses whose results, including Jacobians, fit into the second-level cache
+REFERENCE_BLOCK = 1000  # block size at which the reference kernel is fastest
 
 USED = """\
 Results are written to reused memory. The target uses the faster of two NumPy implementations: a structure of arrays in
 blocks that fit into the cache, rather than the more obvious stacks of 4×4 matrices.
 """
 NEW = """\
-Results are new arrays. The operating system clears every new page, which takes as long as the computation, here and in
-NumPy. To compute this many poses repeatedly, pass `out=`. The target uses straightforward NumPy code.
+Results are new arrays. The operating system clears every new page, which takes as long as the computation, in armlab
+and in NumPy. To compute this many poses repeatedly, pass `out=`. The target uses straightforward NumPy code.
 """
-WALL = "wall-clock time, longer if other processes use the machine"
+WALL = "wall-clock time; includes waiting for cores used by other processes"
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _poses(robot: Robot, q: np.ndarray) -> Job:
         agree("poses", way(few), kinematics.forward(robot, few))
     peers = (
         Contender("robotics-toolbox", once(partial(ets.eval, q)), note="compiled ETS: eval of all rows"),
-        _tenth("Pinocchio", pinocchio.forward_batch, q, note="a Python loop: it has no batch; "),
+        _tenth("Pinocchio", pinocchio.forward_batch, q, note="a Python loop, because there is no batch function; "),
     )
     out, call = np.ones((len(q), 4, 4)), "kinematics.forward(robot, q"
     ways = kinematics.forward, robot.chain.forward, call, plain.forward, fast.forward, reference
@@ -104,7 +104,7 @@ def _poses_and_jacobians(robot: Robot, q: np.ndarray) -> Job:
 
 def _tables(job: Job, title: str, rounds: int) -> list[Table]:
     """Return the table for results in reused memory, to which the target applies, and the table for new results."""
-    text = f"{job.robot.name}, {job.robot.n} joints, one call; all agree to 1e-9. "
+    text = f"{job.robot.name}, {job.robot.n} joints, one call; all results agree to 1e-9. "
     return [
         table(title, text + _line(USED), "ms", _used(job), rounds),
         table(f"{title}, new arrays", text + _line(NEW), "ms", _new(job), rounds),
@@ -117,7 +117,7 @@ def _used(job: Job) -> list[Contender]:
         Contender(f"armlab {job.call}, out=out)", once(used), "armlab"),
         Contender("armlab with two threads", once(partial(used, threads=2), clock=perf_counter), "armlab", note=WALL),
         Contender("NumPy, side by side", once(partial(job.fast, job.q, job.out)), bar=job.bar, note="the faster"),
-        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q, job.out)), note="as one writes it"),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q, job.out)), note="straightforward code"),
         Contender("write: memory in use", once(writer(job.bytes, fresh=False)), "limit", note=_size(job)),
         *_compute(job),
     ]
@@ -129,7 +129,7 @@ def _new(job: Job) -> list[Contender]:
         Contender(f"armlab {job.call})", once(new), "armlab"),
         Contender("armlab with two threads", once(partial(new, threads=2), clock=perf_counter), "armlab", note=WALL),
         Contender("NumPy, side by side", once(partial(job.fast, job.q)), note="the faster"),
-        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q)), bar=job.bar, note="as one writes it"),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q)), bar=job.bar, note="straightforward code"),
         _tenth("armlab's reference kernel, blocked", partial(_by_blocks, job.reference), job.q),
         *job.peers,
         Contender("write: new memory", once(writer(job.bytes, fresh=True)), "limit", note=_size(job)),
@@ -138,19 +138,19 @@ def _new(job: Job) -> list[Contender]:
 
 
 def _few(job: Job, rounds: int) -> Table:
-    """Return the table for ten thousand poses, a typical batch for a planner."""
+    """Return the table for ten thousand poses, a typical planner batch."""
     new = once(partial(job.armlab, job.robot, job.q))
     contenders = [
         Contender(f"armlab {job.call})", new, "armlab"),
         Contender("NumPy, side by side", once(partial(job.fast, job.q))),
-        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q)), bar=1 / 12, note="as one writes it"),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q)), bar=1 / 12, note="straightforward code"),
     ]
     return table("10,000 poses with Jacobians", f"{job.robot.name}, new arrays.", "ms", contenders, 4 * rounds)
 
 
 def _tenth(name: str, function: Callable[[np.ndarray], Any], q: np.ndarray, note: str = "") -> Contender:
-    """Return a contender that works by row or by block; its time is extrapolated from a tenth of the poses."""
-    return Contender(name, once(partial(function, q[: len(q) // 10]), scale=10.0), note=f"{note}a tenth, times ten")
+    """Return a contender that works by row or by block; its time is extrapolated from 10 % of the poses."""
+    return Contender(name, once(partial(function, q[: len(q) // 10]), scale=10.0), note=f"{note}a tenth, times 10")
 
 
 def _by_blocks(kernel: Callable[..., Any], q: np.ndarray) -> list[Any]:
@@ -182,7 +182,7 @@ def _compute(job: Job) -> list[Contender]:
             "compute: the arithmetic alone",
             lambda: np.array([job.operations * len(job.q) * operation()]),
             "limit",
-            note=f"{job.operations} operations per pose at the rate of a matrix product",
+            note=f"{job.operations} operations per pose at matrix-product speed",
         ),
     ]
 

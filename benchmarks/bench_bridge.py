@@ -1,4 +1,4 @@
-"""Bridge of a cell: cost of its clients to the loop, measured from the arrival of a packet to its reply."""
+"""Bridge of a cell: cost of clients to the loop, measured from the arrival of a packet to its reply."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from armlab.bridge.servers.messages import Subscribe
 
 ROBOT = "yumi_right"
 IDLE = 10
-BLOCK = 0.5  # s, length of each block with or without clients
-SETTLE = 0.2  # s after each change that are not counted
+BLOCK = 0.5  # s, length of a block with or without clients
+SETTLE = 0.2  # s excluded after each change
 CLIENTS = """
 import selectors, socket, sys
 idle, ports = int(sys.argv[1]), [int(port) for port in sys.argv[2:]]
@@ -48,7 +48,7 @@ while True:
             for one in held[:idle]:
                 selector.register(one, selectors.EVENT_READ)
 """
-BAR = 1.05  # of the median without clients
+BAR = 1.05  # factor on the median without clients
 CELL = f"""
 [[robots]]
 name = "{ROBOT}"
@@ -61,27 +61,28 @@ rows = 0
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure one run of a cell whose LabComm clients connect in blocks, and the loop without servers."""
+    """Measure a run of a cell whose LabComm clients connect in blocks, and the loop without servers."""
     rounds = 8 if quick else 30
     busy, free = _bridge(rounds)
     alone = iter(np.array_split(_alone(3.0 if quick else 10.0), rounds))
     contenders = [
         Contender("ten idle clients and one that never reads", lambda: next(busy), "armlab"),
-        Contender("no clients", lambda: next(free), bar=BAR, note="servers run"),
+        Contender("no clients", lambda: next(free), bar=BAR, note="with running servers"),
         Contender("no servers", lambda: next(alone), note="the loop alone, in a separate run"),
     ]
     text = (
-        f"Median time from the arrival of a packet to its reply, {ROBOT} simulated in real time at 250 Hz, by kernel "
-        "stamps; the arm holds. In one run, LabComm clients on the ports of the arm and of the fused rows connect and "
-        f"disconnect. Blocks of {BLOCK:g} s with and without clients alternate, and each is compared with its "
-        "neighbour. All but one client read every row. The simulator, servers, clients and loop share the machine's "
+        f"Median time from the arrival of a packet to its reply, by kernel time stamps. {ROBOT} is simulated in real "
+        "time at 250 Hz, and the arm holds. In one run, LabComm clients connect to the ports of the arm and of the "
+        f"fused rows, and disconnect. Blocks of {BLOCK:g} s with and without clients alternate, and each is compared "
+        "with its neighbour. All but one client read every row. Simulator, servers, clients and loop share "
+        "the machine's "
         "cores."
     )
     return [table("Bridge: what clients cost the loop", text, "µs", contenders, rounds, warm=False)]
 
 
 def _bridge(rounds: int) -> tuple[Iterator[np.ndarray], Iterator[np.ndarray]]:
-    """Return the latencies of each block with clients and each block without clients from one run."""
+    """Return the latencies of the blocks with clients and of the blocks without clients in one run."""
     rng, began = np.random.default_rng(1), []
     order = [state for _ in range(rounds) for state in rng.permutation(["on", "off"])]
     with ExitStack() as opened:
@@ -89,7 +90,7 @@ def _bridge(rounds: int) -> tuple[Iterator[np.ndarray], Iterator[np.ndarray]]:
 
         def change(clients: subprocess.Popen[str]) -> None:
             assert clients.stdin is not None
-            with LocalFeed(patience=20.0) as feed:  # until the robot sends
+            with LocalFeed(patience=20.0) as feed:  # wait until the robot sends
                 feed.ask(Subscribe())
                 while isinstance(feed.receive(), dict):
                     pass

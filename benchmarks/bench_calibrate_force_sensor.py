@@ -1,7 +1,7 @@
 """Force sensors and accelerometers: error over the Cramér-Rao bound, handedness, outliers, coverage, time.
 
 Cases F1 to F6 of the specification: 100 orientations, uniform or tilted by at most 30 degrees, 1 kg. The bounds are
-evaluated at the true values. Offsets are compared as o = -R b in tool axes.
+evaluated at the truth. Offsets are compared as o = -R b in tool axes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ BAR, TILT = 1.05, np.radians(30.0)
 
 @dataclass(frozen=True)
 class Case:
-    """Case: seed, force and torque noise, drawn quantities, share of contacts [%]."""
+    """Case: seed, force and torque noise, randomised quantities, share of contacts [%]."""
 
     name: str
     seed: int
@@ -70,7 +70,7 @@ CASES = (
 def run(quick: bool) -> list[Table]:
     """Evaluate every case in many runs, then time fits of one experiment."""
     runs = 100 if quick else 1000
-    lines = [f"{runs} runs each; error / bound per part, target {BAR}; NEES / dimension; number refused as mirrored."]
+    lines = [f"{runs} runs each; error / bound per part, target {BAR}; NEES / dimension; number rejected as mirrored."]
     lines += on_all_cores(_judged, CASES, repeat(runs))
     contenders = []
     for case in (CASES[k] for k in (0, 5, 10, 13)):
@@ -88,7 +88,7 @@ def _decomposition(cloud: tuple[np.ndarray, np.ndarray]) -> Any:
 
 
 def _draw(case: Case, run: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], np.ndarray]:
-    """Return the arguments, the same with exact readings, the truth, and the samples with contact."""
+    """Return the arguments, the same with noise-free readings, the truth, and the samples in contact."""
     made = cell(case.seed)
     if case.accelerometer:
         drawn = made.accelerometer(run, case.N, sigma=case.sigma)
@@ -147,7 +147,7 @@ def _judged(case: Case, runs: int) -> str:
         C = _fit(case, clean).cov
         places, e = _error(case, fit, truth)
         nees.append(e @ np.linalg.solve(fit.cov, e) / len(e))
-        if "offset" in places:  # o = -R b turns with R
+        if "offset" in places:  # o = -R b rotates with R
             T = np.eye(len(e))
             T[places["offset"], places["rotation"]] = -so3.hat(truth["b"])
             e, C = T @ e, T @ C @ T.T

@@ -1,10 +1,10 @@
 """Planes, lines, circles and spheres through points: error relative to the Cramér-Rao bound, calibration of the
 uncertainty, time.
 
-Case P1 of the specification: 20 points on a patch of 0.3 m by 0.2 m or on a rod of 0.3 m, randomly oriented and placed,
-with 0.05 mm of noise. Circles: an arc of 240 degrees with radius 0.2 m. Spheres: a hemisphere with radius 0.2 m. The
-bounds are evaluated at the true points, so that each fit is compared with the best possible unbiased fit. Markers: four
-LEDs 0.1 m apart, 20 frames, a fifth of the points hidden, 0.5 mm of noise.
+Case P1 of the specification: 20 points on a patch of 0.3 m by 0.2 m or on a rod of 0.3 m, at random poses, with
+0.05 mm of noise. Circles: an arc of 240 degrees with radius 0.2 m. Spheres: a hemisphere with radius 0.2 m. The bounds
+are evaluated at the true points, so each fit is compared with the best possible unbiased fit. Markers: four LEDs 0.1 m
+apart, 20 frames, 20 % of the points hidden, 0.5 mm of noise.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LAWS = ("order-free", "gauge-free", "refuses", "saves", "explains", "clean")
 
 
 def run(quick: bool) -> list[Table]:
-    """Evaluate all four fits in many runs, then time them in comparison with the decomposition alone."""
+    """Evaluate all four fits in many runs, then time them and the decomposition alone."""
     runs = 200 if quick else 1000
     lines = [f"{runs} runs per seed, noise given; target {BAR} for each part, target 1 for NEES / dimension."]
     seeds, names = zip(*product(SEEDS, [*CASES, MARKERS]), strict=True)
@@ -66,7 +66,7 @@ def judged(name: str, seed: int, runs: int) -> Contract:
         error=error,
         blocks=blocks,
         spoil=_spoil,
-        skip=dict.fromkeys(LAWS, "an invariant, tested in tests/frames"),
+        skip=dict.fromkeys(LAWS, "invariant, tested in tests/frames"),
     )
 
 
@@ -101,12 +101,12 @@ def markers(seed: int, runs: int) -> str:
 
 
 def _experiment(name: str, seed: int, run: int, n: int) -> Experiment:
-    """Return points of a feature, drawn according to the specification, with truth and bound."""
+    """Return points of a feature according to the specification, with truth and bound."""
     rng = np.random.default_rng([seed, run])
     q = rng.standard_normal(4)
     R, c = quaternion.to_matrix(q / np.linalg.norm(q)), rng.standard_normal(3)
     hint: dict[str, Any] = {"along": R[:, 0]} if name == "line" else {} if name == "sphere" else {"normal": R[:, 2]}
-    if name in ("plane", "line"):  # one generator draws both: the line's points come after the plane's noise
+    if name in ("plane", "line"):  # one generator draws both: the points of the line follow the noise of the plane
         flat = rng.uniform(-1, 1, (n, 2)) * [0.15, 0.10]
         noise = rng.standard_normal((n, 3))
         if name == "line":
@@ -119,7 +119,7 @@ def _experiment(name: str, seed: int, run: int, n: int) -> Experiment:
         local[:, 2] = height
         p, noise = c + RADIUS * local @ R.T, rng.standard_normal((n, 3))
     data = {"p": p + SIGMA * noise, "noise": SIGMA, **hint}
-    bound = CASES[name][0](**{**data, "p": p}).cov  # exact points: the information at the truth
+    bound = CASES[name][0](**{**data, "p": p}).cov  # noise-free points give the information at the truth
     return Experiment(data, (R, c), bound)
 
 
@@ -143,14 +143,14 @@ def _sphere_error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray]) -> np.nda
 
 
 def _spoil(data: dict[str, Any], rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray]:
-    """Move 5 % of the points by 10 mm across the feature."""
+    """Move 5 % of the points by 10 mm off the feature."""
     bad = np.zeros(len(data["p"]), dtype=bool)
     bad[rng.choice(len(bad), len(bad) // 20, replace=False)] = True
     if "along" in data:
         side = np.cross(data["along"], rng.standard_normal(3))
     else:
         side = np.asarray(data.get("normal", rng.standard_normal(3)))
-    if "normal" not in data and "along" not in data:  # a sphere: along the radius
+    if "normal" not in data and "along" not in data:  # a sphere: move along the radius
         away = data["p"] - frames.fit_sphere(data["p"], noise=SIGMA).value.centre
     else:
         away = np.broadcast_to(side, data["p"].shape)

@@ -1,6 +1,6 @@
 """Hand-eye calibration compared with OpenCV: times, and errors relative to the Cramér-Rao bound on the same samples.
 
-OpenCV is pinned below 5: opencv-contrib-python-headless 5.0.0.93 exports the constants of hand-eye calibration but not
+OpenCV is pinned below 5: opencv-contrib-python-headless 5.0.0.93 exports the constants for hand-eye calibration but not
 the functions.
 """
 
@@ -31,13 +31,13 @@ Solve = Callable[[bars.Poses], tuple[np.ndarray, np.ndarray]]
 
 def run(quick: bool) -> list[Table]:
     """Measure 30 and 1000 pairs of poses, outliers, and points; then run every case many times for the errors."""
-    cv2.setNumThreads(1)  # like armlab; it must not wait for threads of another library
+    cv2.setNumThreads(1)  # single-threaded like armlab, without waiting for threads of other libraries
     rounds, runs = (5, 50) if quick else (20, 500)
     few = [bars.poses(1000, k)[0] for k in range(20)]
     many = [bars.poses(1000, 0, N=1000)[0]]
     wrong = [bars.poses(1000, k, bad=3)[0] for k in range(20)]
     worst = _agreement()
-    text = f"The camera noise is given. On exact data, all agree to {worst:.1g}."
+    text = f"The camera noise is given. On noise-free data, all agree to {worst:.1g}."
     return [
         table("Hand-eye, 30 pairs of poses", f"{text}\n\n{_errors(runs)}", "ms", _contenders(few, BAR, ""), rounds),
         table("Hand-eye, 1000 pairs of poses", text, "ms", _contenders(many, BAR_MANY, ""), 2, warm=False),
@@ -94,7 +94,7 @@ def _peers() -> list[tuple[str, Solve, str]]:
 
 
 def _both(method: int) -> Solve:
-    """Solve A X = Z B, which is world2cam X = Z base2gripper in OpenCV's names."""
+    """Solve A X = Z B, which is world2cam X = Z base2gripper in OpenCV's notation."""
 
     def solve(data: bars.Poses) -> tuple[np.ndarray, np.ndarray]:
         RX, tX, RY, tY = cv2.calibrateRobotWorldHandEye(
@@ -107,7 +107,7 @@ def _both(method: int) -> Solve:
 
 
 def _hand(method: int) -> Solve:
-    """A_i X B_i^-1 is the same for all i; X is OpenCV's cam2gripper, and Y the mean of the products."""
+    """Solve for X, OpenCV's cam2gripper. A_i X B_i^-1 is the same for all i; its mean over i is Y."""
 
     def solve(data: bars.Poses) -> tuple[np.ndarray, np.ndarray]:
         inverse = se3.inv(data.B)
@@ -128,7 +128,7 @@ def _pose(R: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def _agreement() -> float:
-    """Return the largest difference of any method from the truth for exact data."""
+    """Return the largest error of any method on noise-free data."""
     _, clean = bars.poses(1000, 0)
     worst = 0.0
     for name, solve, _ in _peers():
@@ -138,7 +138,7 @@ def _agreement() -> float:
 
 
 def _errors(runs: int) -> str:
-    """Return tables of errors relative to the bound: armlab in every case, OpenCV with good samples."""
+    """Return tables of errors relative to the bound: armlab in every case, OpenCV without outliers."""
     ours = [bars.HEAD, "|---|---|---|---|---|---|", *(bar.text() for bar in bars.bars(runs))]
     head = ["| OpenCV, error / bound | H1: X rotation, position, Y rotation, position | H2 (tilt 30 degrees) |",
             "|---|---|---|"]  # fmt: skip

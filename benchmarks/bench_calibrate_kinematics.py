@@ -1,7 +1,7 @@
 """Kinematic calibration compared with pybotics and robotkinecal: times, and errors on the same samples.
 
-Both solve by least squares without weights or covariance: robotkinecal over twists in the base frame, pybotics over a
-modified table. Peers that are not installed are omitted.
+Both peers solve by least squares without weights or covariance: robotkinecal over twists in the base frame, pybotics
+over a modified table. Peers that are not installed are omitted.
 """
 
 from __future__ import annotations
@@ -21,23 +21,21 @@ from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import so3
 from armlab.sim import cell
 
-EVALUATIONS, BAR = 12, 2.0  # for a fit to 50 poses with its report; limits as multiples of the time in the kernels
+EVALUATIONS, BAR = 12, 2.0  # kernel evaluations of a fit to 50 poses with report; target relative to kernel time
 HALF = np.pi / 2
 TOOL = (0.1, 0.05, 0.1)
 MODIFIED_TABLE = np.array(
-    [  # alpha before, a before, theta, d of the IRB 2400
+    [  # alpha_{j-1}, a_{j-1}, theta, d of the IRB 2400
         [0.0, 0.0, 0.0, 0.615], [-HALF, 0.1, -HALF, 0.0], [0.0, 0.705, 0.0, 0.0],
         [-HALF, 0.135, np.pi, 0.755], [-HALF, 0.0, 0.0, 0.0], [HALF, 0.0, 0.0, 0.085],
     ]
 )  # fmt: skip
-PYBOTICS_STEPS = 60  # tolerance on the decreasing error length: pybotics is far from its minimum for minutes
+PYBOTICS_STEPS = 60  # pybotics would take minutes to reach its minimum
 Forward = Callable[[np.ndarray], np.ndarray]
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure 50 poses, 50 positions, outliers, many samples and two arms; then run every case many times for the
-    errors.
-    """
+    """Measure 50 poses, 50 positions, outliers, many samples and two arms; then determine errors from many runs."""
     rounds, runs, tries = (5, 20, 1) if quick else (10, 400, 2)
     one, waves, two = (cell(bars.SEEDS[name]) for name in ("K1", "K4", "K6"))
     few, tool = [one.kinematics(k, tool=False) for k in range(10)], [one.kinematics(k) for k in range(10)]
@@ -63,9 +61,7 @@ def run(quick: bool) -> list[Table]:
 
 
 def _kernels(run: Any) -> None:
-    """Compute the minimum that any fit needs: residuals, their Jacobian with respect to the parameters, and its
-    triangle.
-    """
+    """Compute the minimum that any fit needs: residuals, their parameter Jacobian, and its triangular factor."""
     for _ in range(EVALUATIONS):
         T, J = forward(run.robot, run.q), parameter_jacobian(run.robot, run.q)
         r = np.concatenate(
@@ -102,9 +98,7 @@ def _pybotics(run: Any) -> list[Contender]:
 
 
 def solve_pybotics(run: Any) -> Forward:
-    """Fit 24 parameters, base and tool of pybotics to positions, as in its documentation; return its forward
-    kinematics.
-    """
+    """Fit 24 parameters, base and tool of pybotics to positions, as in its documentation; return forward kinematics."""
     from pybotics.optimization import OptimizationHandler, optimize_accuracy
     from pybotics.robot import Robot as Pybotics
 
@@ -146,7 +140,7 @@ def solve_kinecal(run: Any, position: bool) -> Forward:
 
 
 def _errors(tries: int) -> str:
-    """Return the errors at validation poses of armlab and its peers for the same samples."""
+    """Return the errors of armlab and its peers at validation poses for the same samples."""
     found: dict[str, list[tuple[float, float]]] = {}
     for k in range(tries):
         pose, point = cell(bars.SEEDS["K1"]).kinematics(k, tool=False), cell(bars.SEEDS["K1"]).kinematics(k)

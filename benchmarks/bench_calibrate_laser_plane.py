@@ -1,8 +1,8 @@
 """Laser line scanners on plates: error over the Cramér-Rao bound, success without a guess, outliers, coverage, time.
 
 Cases L1 to L4 of the specification, drawn by `sim.cell`: three plates, 20 scans each, 0.5 mm. Scans are drawn in
-batches; their distribution, but not each sample, follows the specification. Scans nearly parallel to a plate, which the
-fit rejects, are drawn again.
+batches, which preserves the specified distribution but not the samples. Scans nearly parallel to a plate, which the fit
+rejects, are redrawn.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from armlab.sim.experiments.sensors import ANGLE, SIGMA, scanned, turns
 
 BAR, WRONG = 1.05, 3
 SEEDS = (4000, 4700)
-CONTRACT, ORIGIN = "the contract", "L4, plates through the origin"  # the contract first: it takes longest
+CONTRACT, ORIGIN = "the contract", "L4, plates through the origin"  # the contract runs first, as the longest
 LAWS = ("order-free", "gauge-free", "refuses", "saves", "explains", "clean")
 
 
@@ -55,13 +55,13 @@ def _refused(data: dict[str, Any]) -> None:
         fit_laser_plane(**data)
     except ArmlabError:
         return
-    raise AssertionError("wrong labels were accepted")
+    raise AssertionError("wrong labels were not rejected")
 
 
 def _draw(
     seed: int, run: int, lines: bool = True, wrong: bool = False, moved: bool = False
 ) -> tuple[dict[str, Any], Any, Any]:
-    """Return the arguments, the arguments with exact scans, and the pose of the sensor."""
+    """Return the arguments, the same with noise-free scans, and the sensor pose."""
     bad = WRONG if wrong else 0
     drawn = cell(seed).laser(run, wrong=bad)
     A, scans = drawn.A.copy(), drawn.scans.copy()
@@ -95,7 +95,7 @@ def _line(seed: int, name: str, runs: int) -> str:
 
 
 def judged(name: str, seed: int, runs: int) -> str:
-    """Describe the result of a case."""
+    """Describe the result of a case in one line."""
     return _ratios(seed, runs, **CASES[name])
 
 
@@ -137,7 +137,7 @@ def _ratios(
 
 
 def origin(seed: int, runs: int) -> str:
-    """Return how far the result moves if the plates pass through the origin."""
+    """Report how far the result moves if the plates pass through the origin."""
     worst = 0.0
     for run in range(runs):
         one, other = (fit_laser_plane(**_draw(seed, run, moved=m)[0]).value.T_tool_sensor for m in (False, True))
@@ -156,7 +156,7 @@ def contracted(seed: int, runs: int) -> Contract:
     return check_estimator(
         fit_laser_plane, experiment, runs, n=60, error=_error, spoil=_spoil,
         blocks={"position": range(3), "rotation": range(3, 6)},
-        skip=dict.fromkeys(LAWS, "an invariant, tested in tests/calibrate"),
+        skip=dict.fromkeys(LAWS, "invariant, tested in tests/calibrate"),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Duration of `armlab demo`, which is paced by the clock of the simulated robot for most of the time."""
+"""Duration of `armlab demo`, most of which is paced by the clock of the simulated robot."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from blocks import Contender, Table, table
 def run(quick: bool) -> list[Table]:
     """Run the demo once, as a user would."""
     text = (
-        "Wall-clock time of one run of the whole demo: two runs over EGM in real time, computation, figures. "
-        "The demo met its own targets; otherwise no figure would be reported."
+        "Wall-clock time of one complete demo: two real-time runs over EGM, computation, figures. The demo met its own "
+        "targets; otherwise there would be no figure."
     )
     demo = Contender("armlab demo", lambda: _demo(quick), "armlab")
     return [table("The demo", text, "s", [demo], 1, warm=False)]

@@ -1,4 +1,4 @@
-"""Rigid-body dynamics: one call compared with Pinocchio, and a million inverse dynamics compared with NumPy."""
+"""Rigid-body dynamics: single calls compared with Pinocchio, and a million inverse dynamics compared with NumPy."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def run(quick: bool) -> list[Table]:
         for row in rows[:50]:
             found, expected = ours(robot, *row), theirs(model, data, *row)
             parts = zip(found[:2], expected[:2]) if isinstance(found, tuple) else [(found, expected)]
-            for one, other in parts:  # Pinocchio fills the upper half of M
+            for one, other in parts:  # Pinocchio fills only the upper triangle of M
                 agree(title, *(np.triu(part) if name == "crba" else part for part in (one, other)))
         contenders = [
             Contender(
@@ -57,7 +57,7 @@ def run(quick: bool) -> list[Table]:
             ),
             Contender("Pinocchio", loop(lambda row, call=theirs: call(model, data, *row), rows), bar=0.6, note=name),
         ]
-        text = f"{ROBOT} with invented masses, {robot.n} joints, varying motions."
+        text = f"{ROBOT} with synthetic masses, {robot.n} joints, varying motions."
         tables.append(table(f"{title}, one call", text, "µs", contenders, 30 if quick else 200))
     return [*tables, _batch(robot, 100_000 if quick else 1_000_000)]
 
@@ -76,6 +76,6 @@ def _batch(robot: robots.Robot, count: int) -> Table:
     tenth = motion[:, : count // 10]
     contenders = [
         Contender("armlab inverse_dynamics", once(partial(dynamics.inverse_dynamics, robot, *motion)), "armlab"),
-        Contender("NumPy", once(partial(plain, tenth), scale=10.0), bar=1 / 15, note="in blocks; a tenth, times ten"),
+        Contender("NumPy", once(partial(plain, tenth), scale=10.0), bar=1 / 15, note="in blocks; a tenth, times 10"),
     ]
     return table(f"{count:,} inverse dynamics", "One call with new arrays.", "ms", contenders, 5)

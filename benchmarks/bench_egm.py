@@ -17,7 +17,7 @@ from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 ROBOT = "yumi_right"
 PACKETS = 500
-BAR = 0.15  # of the peer's time
+BAR = 0.15  # relative to the peer's time
 
 
 def run(quick: bool) -> list[Table]:
@@ -53,23 +53,23 @@ def run(quick: bool) -> list[Table]:
             note=f"{len(extended[0])} bytes; with velocities and torques",
         ),
         Contender("armlab decode", loop(plain.decode, standard), "armlab"),
-        Contender("ABBRobotEGM decode and encode", loop(peer.cycle, standard), bar=BAR, note="in degrees, ABB's order"),
+        Contender("ABBRobotEGM decode and encode", loop(peer.cycle, standard), bar=BAR, note="degrees, ABB's order"),
         Contender("ABBRobotEGM decode", loop(peer.decode, standard)),
         Contender(
             "protobuf alone", loop(protobuf_alone, standard), "limit", note="parse, and serialise a stored reply"
         ),
     ]
     text = (
-        f"A packet of {ROBOT} as RobotWare 7 sends it ({len(standard[0])} bytes) to SI values, and a joint reference "
-        f"back. Joints agree to {worst:.1g} rad. ABBRobotEGM is measured without its socket calls. abb_robot_client "
-        "is not compared here, because it decodes only inside its socket calls and its messages cannot be loaded "
-        "together with those of ABBRobotEGM."
+        f"A packet of {ROBOT} as sent by RobotWare 7 ({len(standard[0])} bytes) is converted to SI values, and a joint "
+        f"reference is converted back. Joints agree to {worst:.1g} rad. ABBRobotEGM is measured without its socket "
+        "calls. abb_robot_client is not compared here: it decodes only inside its socket calls, and its messages "
+        "cannot be loaded together with those of ABBRobotEGM."
     )
     return [table("EGM codec, one cycle", text, "µs", contenders, 20 if quick else 100), *round_trips(quick)]
 
 
 class _Peer:
-    """ABBRobotEGM's own steps between its two socket calls."""
+    """ABBRobotEGM's own steps between receiving and sending."""
 
     def __init__(self) -> None:
         self._egm = EGM.__new__(EGM)  # its constructor opens a socket
@@ -98,7 +98,7 @@ def _check(codec: EgmCodec, peer: _Peer, data: bytes) -> float:
 
 
 def _packets(robot: Robot, extension: bool) -> list[bytes]:
-    """Return packets with every field that RobotWare 7 fills and varying joints."""
+    """Return packets with every field that RobotWare 7 fills, and varying joints."""
     codec = RobotSideCodec(robot, "7", extension, force=True)
     rng = np.random.default_rng(5)
     rows = rng.uniform(robot.q_min, robot.q_max, (PACKETS, robot.n))

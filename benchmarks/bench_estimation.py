@@ -12,10 +12,10 @@ from blocks import Contender, Table, agree, once, table
 from armlab.estimation import Rows, least_squares
 from armlab.estimation.tsqr import factorise
 
-JOINTS, SHARED, OWN = 7, 45, 7  # base parameters common to the joints, and friction parameters of each joint
+JOINTS, SHARED, OWN = 7, 45, 7  # joints; base parameters shared by the joints; friction parameters per joint
 SIZE = SHARED + JOINTS * OWN
-PIECE, BLOCK = 4096, 1000  # samples generated at once, and samples in a time block
-BAR = 0.75  # of LAPACK on whole blocks
+PIECE, BLOCK = 4096, 1000  # samples generated at once; samples per time block
+BAR = 0.75  # relative to LAPACK on whole blocks
 
 
 def run(quick: bool) -> list[Table]:
@@ -34,8 +34,8 @@ def run(quick: bool) -> list[Table]:
                   note="squares the condition number"),
     ]  # fmt: skip
     text = (
-        f"1e6 samples of {JOINTS} joints, {SHARED} shared and {OWN} own columns per joint, {SIZE} in total, in 1000 "
-        f"time blocks; rows are generated on the fly from one piece of {PIECE} samples. Solutions agree to {worst:.1g}."
+        f"1e6 samples of {JOINTS} joints; {SHARED} shared columns and {OWN} per joint, {SIZE} in total; 1000 "
+        f"time blocks. Rows are generated on the fly from one piece of {PIECE} samples. Solutions agree to {worst:.1g}."
     )
     return [table("Least squares", text, "s", contenders, 2 if quick else 3)]
 

@@ -1,4 +1,4 @@
-"""One step of the contact-force estimator, back to back and paced as in a control loop."""
+"""One step of the contact-force estimator, back to back and paced like a control loop."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from armlab.robots import Robot
 from armlab.state import State
 
 ROBOT = "yumi_right"
-BAR = 0.15  # of Pinocchio with NumPy
-OF_MAP = {"bounded": 3.0, "observer": 1.5, "kf": 2.5}  # of the method "map"
+BAR = 0.15  # relative to Pinocchio with NumPy
+OF_MAP = {"bounded": 3.0, "observer": 1.5, "kf": 2.5}  # relative to the method "map"
 
 
 def run(quick: bool) -> list[Table]:
-    """Compare `contact.Estimator.step` with the same computation built from Pinocchio functions, and with NumPy."""
+    """Compare `contact.Estimator.step` with NumPy and with the same computation built from Pinocchio functions."""
     robot = robots.load(ROBOT)
     whole = model(robot, seconds=15)
-    torque_model = replace(whole, parameters=None)  # the peers lack the covariance of the parameters
+    torque_model = replace(whole, parameters=None)  # the peers lack the parameter covariance
     states = list(log(robot, 15, seed=4, wrench=WRENCH).states())
     ours = Estimator(torque_model, robot)
     pinocchio = PinocchioEstimator(torque_model, robot, with_masses(robot, torque_model.link_parameters), ours.prior)
@@ -49,7 +49,7 @@ def run(quick: bool) -> list[Table]:
                 "armlab, wider outside the identified motion",
                 block(Estimator(whole, robot)),
                 "armlab",
-                note="with the covariance of the parameters, as identified",
+                note="with the identified parameter covariance",
             ),
             Contender(
                 "Pinocchio with NumPy",
@@ -65,8 +65,8 @@ def run(quick: bool) -> list[Table]:
     what = f"Wrench, covariance and observability of {ROBOT} from one state; forces agree to {worst:.1g} N."
     tight = f"{what} Consecutive steps, each timed separately."
     paced = (
-        f"{what} One step every {1e3 * PERIOD:g} ms with sleep in between, as in a control loop, so that the caches "
-        "are cold, especially on a shared machine."
+        f"{what} One step every {1e3 * PERIOD:g} ms with sleep in between, as in a control loop, so the caches are "
+        "cold, especially on a shared machine."
     )
     return [
         *_tables("Estimator step", tight, contenders(1000, 0.0), 5 if quick else 15),

@@ -1,7 +1,7 @@
-"""Identification of one model from many logs: 1, 2 and (with four cores) 4 workers on 1000 YuMi logs of 20 s.
+"""Identification of one model from 1000 YuMi logs of 20 s with 1, 2 and (on four cores) 4 workers.
 
-There is no peer, because FIGAROH stores the regressor of all samples at once and supports neither workers nor logs.
-"Identification" compares its time on one record.
+There is no peer, because FIGAROH stores the regressor of all samples at once and supports neither workers nor multiple
+logs. "Identification" compares with FIGAROH on one record.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from armlab import log, robots
 SECONDS, DISTINCT = 20.0, 20
 LOGS, QUICK = (1000,), (10,)
 WORKERS = (1, 2, 4)
-BARS = {2: 1 / 1.6, 4: 1 / 3.0}  # of the time of one worker, with the most logs, if there are enough cores
+BARS = {2: 1 / 1.6, 4: 1 / 3.0}  # relative to one worker, with the largest number of logs, if there are enough cores
 PROGRAM = Path(__file__).with_name("fleet_identify.py")
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure `fleet.identify` without a cache of sums; the results must be bit-identical."""
+    """Measure `fleet.identify` without a cache of sums; results must be bit-identical."""
     counts, rounds = (QUICK, 1) if quick else (LOGS, 1)
     robot, cores = robots.load(ROBOT), len(os.sched_getaffinity(0))
     sharing = [count for count in WORKERS if count <= max(cores, 2)]
@@ -53,12 +53,12 @@ def run(quick: bool) -> list[Table]:
                 if found["digest"] != alone["digest"] or found["used"] != count:
                     raise Disagreement(
                         f"{count} logs: expected results from {workers} workers that are bit-identical "
-                        "to those of one worker, got others."
+                        "to those of one worker, got different results."
                     )
                 whole, serial = (one["draft"] + one["map"] + one["solution"] for one in (found, alone))
                 bar = BARS.get(workers) if count == counts[-1] and workers <= cores else None
                 note = (
-                    f"draft {found['draft']:.1f}, sums {found['map']:.1f}, solution {found['solution']:.1f} s; sums of "
+                    f"draft {found['draft']:.1f}, sums {found['map']:.1f}, solution {found['solution']:.1f} s; sums at "
                     f"{found['rows'] / found['map']:.0f} rows/s; {serial / whole:.2f} times one worker, the sums alone "
                     f"{alone['map'] / found['map']:.2f}; memory: caller {1e-6 * found['caller']:.0f} MB, worker "
                     f"{1e-6 * found['worker']:.0f} MB"
@@ -67,18 +67,18 @@ def run(quick: bool) -> list[Table]:
                 contenders.append(Contender(name, lambda: np.zeros(0), "armlab", bar, note, over if bar else ""))
                 samples.append([np.array([whole])])
     text = (
-        f"Wall-clock time of `fleet.identify` with running workers; {DISTINCT} logs of {SECONDS:g} s at 250 Hz, each "
-        "repeated as often as needed without its first rows. Files are read from memory, not from disk, without a "
-        f"cache. {cores} cores. One log: {1e3 * cost['read']:.1f} ms of core time to read it, {1e3 * cost['sums']:.1f} "
-        f"ms for its sums; {1e-3 * cost['there']:.0f} kB are sent to the worker and {1e-3 * cost['back']:.0f} kB "
-        "returned. All results were bit-identical. Targets: 1.6 times as fast with two workers, three times with four "
-        "workers on four cores."
+        f"Wall-clock time of `fleet.identify` with running workers. {DISTINCT} logs of {SECONDS:g} s at 250 Hz are "
+        "repeated as often as needed; each copy omits more leading rows, so it is not a duplicate. Files are read from "
+        f"memory, without a cache, on {cores} cores. One log: {1e3 * cost['read']:.1f} ms of core time to read, "
+        f"{1e3 * cost['sums']:.1f} ms for its sums; {1e-3 * cost['there']:.0f} kB are sent to the worker and "
+        f"{1e-3 * cost['back']:.0f} kB returned. All results were bit-identical. Targets: 1.6 times as fast with two "
+        "workers, and three times as fast with four workers on four cores."
     )
     return [Table("Fleet: one model from many logs", text, "s", figures(contenders, samples), rounds)]
 
 
 def _told(folder: Path, workers: int) -> dict[str, float]:
-    """Return the output of `fleet_identify.py` for a folder."""
+    """Return the results that `fleet_identify.py` prints for a folder."""
     words = [sys.executable, str(PROGRAM), str(folder), str(workers)]
     said = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True)
     return json.loads(said.stdout)

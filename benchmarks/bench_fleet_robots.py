@@ -22,10 +22,10 @@ from armlab.errors import ArmlabError
 from armlab.fleet import FleetRecorder
 
 RATE = 250
-SETTLE = 1.0  # s after the first rows that are not counted
-TOGETHER = 10  # robots of a publishing process
-BAR = 4.0  # p99 of ten robots over that of a single robot
-WHOLE = 0.999  # share of recorded rows below which no larger number of robots is tried
+SETTLE = 1.0  # s excluded after the first rows
+TOGETHER = 10  # robots per publishing process
+BAR = 4.0  # p99 with ten robots over p99 with one
+WHOLE = 0.999  # no larger number of robots is tried below this share of recorded rows
 MOST = 160  # robots
 PATIENCE = 30.0  # s
 PUBLISHER = Path(__file__).with_name("fleet_publisher.py")
@@ -41,12 +41,12 @@ def run(quick: bool) -> list[Table]:
         except (TooManyError, subprocess.TimeoutExpired):
             if count <= TOGETHER:
                 raise
-            more = f" {count} robots were too many, because not all programs sent and ended in time."
+            more = f" {count} robots were too many: not all programs sent rows and exited in time."
             break
         share = min(one["share"] for one in found)
         told = {name: float(np.median([one[name] for one in found])) for name in ("p50", "router", "recorder", "rate")}
         note = (
-            f"{100.0 * share:.3f} % of the rows in the files, at least; {told['rate']:.0f} rows/s each; p50 "
+            f"at least {100.0 * share:.3f} % of the rows recorded; {told['rate']:.0f} rows/s each; p50 "
             f"{1e3 * told['p50']:.2f} ms; router {100.0 * told['router']:.1f} %, recorder "
             f"{100.0 * told['recorder']:.1f} % of a core"
         )
@@ -60,15 +60,16 @@ def run(quick: bool) -> list[Table]:
             break
         count = {1: 5, 5: 10}.get(count, 2 * count)
     text = (
-        f"p99 of the time from a row's stamp to the callback of `FleetRecorder`, {RATE} rows of 400 bytes per second "
-        "and robot, BLOCK, through a router in a separate process; ten robots share a process. Rows count from "
-        f"{SETTLE:g} s after the first one. All processes share the machine's cores.{more}"
+        f"99th percentile of the time from a row's stamp to the callback of `FleetRecorder`, for {RATE} rows of 400 "
+        "bytes per second and robot, with congestion control BLOCK, through a router in a separate process. Ten robots "
+        f"share a process. Rows count from {SETTLE:g} s after the first row. All processes share the "
+        f"machine's cores.{more}"
     )
     return [Table("Fleet: rows of many robots", text, "ms", figures(contenders, samples), rounds)]
 
 
 class TooManyError(ArmlabError):
-    """The machine cannot handle this many robots."""
+    """The machine cannot handle this number of robots."""
 
 
 class _Timed(FleetRecorder):
@@ -85,7 +86,7 @@ class _Timed(FleetRecorder):
 
 
 def _measured(count: int, seconds: float) -> dict[str, float]:
-    """Return percentiles [s], shares of a core, rows/s per robot, and the share of the rows in the files."""
+    """Return percentiles [s], shares of a core, rows/s per robot, and the share of recorded rows."""
     with ExitStack() as opened:
         port = _free_port()
         router = _started(opened, "-m", "armlab", "fleet", "router", "--port", str(port))

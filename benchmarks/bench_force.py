@@ -11,16 +11,16 @@ from blocks import Contender, Table, figures
 
 ROBOT = "yumi_left"
 METHODS = ("map", "bounded", "observer", "kf")
-GAINS = {0.0: 1.0, 0.05: 1.5}  # largest unknown gain error of each torque sensor, and target [N]
+GAINS = {0.0: 1.0, 0.05: 1.5}  # maximum unknown gain error per torque sensor: target [N]
 
 
 def run(quick: bool) -> list[Table]:
-    """Identify and estimate with every method on logs of the simulated arm; no peer supports such logs."""
+    """Identify and estimate with every method on simulated logs; no peer supports such logs."""
     seeds = 1 if quick else 5
     text = (
         f"{seeds} seeds of the protocol of *Accuracy of the estimated force* on the simulated {ROBOT}: a model from "
-        "60 s of motion, and pushes of 5 N during another motion of 60 s. Values are the RMS force error of the worst "
-        "axis during pushes. Medians are over the seeds. The targets are those of the project for `map`."
+        "60 s of motion, and 5 N pushes during 60 s of another motion. Values are RMS force errors of the worst axis "
+        "during pushes, as medians over the seeds. The targets are the project's targets for `map`."
     )
     tables = []
     for gains, bar in GAINS.items():
@@ -36,6 +36,6 @@ def run(quick: bool) -> list[Table]:
 
 
 def _rms(seed: int, gains: float) -> list[float]:
-    """Return the error of the worst axis for each method [N]."""
+    """Return the error of the worst axis per method [N]."""
     logs = protocol.record(ROBOT, seed, gains)
     return [float(protocol.judge(logs, method).rms.max()) for method in METHODS]

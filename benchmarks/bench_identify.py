@@ -3,7 +3,7 @@ FIGAROH.
 
 FIGAROH (1.0.2) builds its regressor with Pinocchio in a Python loop, finds the base parameters by a QR factorisation of
 the data, and solves ordinary least squares. It is not among the pinned peers, because it depends on a viewer and an SDP
-modeller. If it is installed, it does the same job as armlab on the same samples; otherwise the table says so.
+modeller. If it is installed, it identifies from the same samples as armlab; otherwise the table says so.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from armlab.identify.regression import Design
 from armlab.robots import Robot
 
 RATE = 250.0  # Hz
-BAR = 1.0  # of the time of the regressor alone in a loop: regressor, filter and weighted least squares
-FEW = 20_000  # samples of the loop, extrapolated
-SAME = 5_000  # samples of the job that FIGAROH also does, with its dense regressor
-BLOCK = 1000  # samples of armlab's regressor computed at once
+BAR = 1.0  # regressor, filter and weighted least squares, relative to the peer's regressor alone
+FEW = 20_000  # samples in the peer's loop, extrapolated
+SAME = 5_000  # samples of the comparison with FIGAROH and its dense regressor
+BLOCK = 1000  # samples per block of armlab's regressor
 
 
 def run(quick: bool) -> list[Table]:
@@ -58,9 +58,7 @@ def run(quick: bool) -> list[Table]:
 
 
 def _beside_figaroh(robot: Robot, rounds: int) -> Table:
-    """Return both OLS identifications of base parameters, viscous and Coulomb friction, rotors and offsets from
-    positions.
-    """
+    """Compare OLS identifications of base parameters, viscous and Coulomb friction, rotors and offsets."""
     data, base = _record(robot, SAME), base_parameters(robot)
     qdd = data.differentiate(data.qd)
     contenders = [
@@ -116,7 +114,7 @@ def _columns(data: Record, qdd: np.ndarray, robot: Robot, base: BaseParameters, 
 
 
 def _record(robot: Robot, samples: int) -> Record:
-    """Return a repeated excitation with noise as torques, which do not affect the cost."""
+    """Return a repeated excitation with noise as torques, because torques do not affect the cost."""
     t = np.arange(samples) / RATE
     motion = identify.design_excitation(robot, seconds=60, seed=0)
     q, qd, _ = motion.sample(t % 60.0)

@@ -16,7 +16,7 @@ from armlab.robots import Robot
 ROBOTS = ("yumi_left", "irb2400", "irb7600", "ur5e")
 TOLERANCE = 1e-9  # m and rad
 STARTS = 100
-PART_OF_CLIK = 20  # the Python loop solves every twentieth pose
+PART_OF_CLIK = 20  # the Python loop solves one pose in twenty
 
 
 def run(quick: bool) -> list[Table]:
@@ -63,15 +63,15 @@ def _random_poses(robot: Robot, count: int, rounds: int) -> Table:
         f"Pinocchio {_success(robot, loop(clik, some), some, TOLERANCE)}",
     ]
     text = (
-        f"{robot.name}, {robot.n} joints, {count} poses from uniformly distributed postures within the limits. No "
-        f"initial guess is given; each solver may use up to {STARTS}. Solved to 1e-9 m and 1e-9 rad within the "
+        f"{robot.name}, {robot.n} joints, {count} poses from uniformly distributed postures within the limits. Each "
+        f"solver starts without an initial guess and may use {STARTS} starts. Solved to 1e-9 m and 1e-9 rad within the "
         f"limits: {'; '.join(told)}."
     )
-    return table(f"Inverse kinematics, {robot.name}", text, "µs", contenders, rounds, warm=False)  # these were just run
+    return table(f"Inverse kinematics, {robot.name}", text, "µs", contenders, rounds, warm=False)  # already warmed up
 
 
 def _success(robot: Robot, q: np.ndarray, T: np.ndarray, tolerance: float) -> str:
-    """Return the fraction that reaches its goal within the limits, checked by forward kinematics."""
+    """Return the fraction of goals reached within the limits, checked by forward kinematics."""
     found = kinematics.forward(robot, q)
     position = np.linalg.norm(found[:, :3, 3] - T[:, :3, 3], axis=1)
     rotation = so3.angle(found[:, :3, :3], T[:, :3, :3])
@@ -81,7 +81,7 @@ def _success(robot: Robot, q: np.ndarray, T: np.ndarray, tolerance: float) -> st
 
 
 def _path(rounds: int) -> Table:
-    """Path of the YuMi's tool sampled every 4 ms, with each pose solved from the previous posture."""
+    """Measure a path of the YuMi's tool sampled every 4 ms, with each pose solved from the previous posture."""
     robot = robots.load("yumi_left")
     s = np.linspace(0.0, 2.0 * np.pi, 1000)[:, None]
     amplitude = np.array([0.4, 0.3, 0.4, 0.3, 0.5, 0.3, 0.6])

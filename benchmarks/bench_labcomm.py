@@ -20,7 +20,7 @@ from armlab.state import State
 from armlab.wire.labcomm import Decoder, Encoder, Sample, idl
 
 ROWS = 500
-BAR = 4.0  # of `struct` alone, encode or decode of a row
+BAR = 4.0  # relative to `struct` alone
 PACK, UNPACK = "struct alone, encode", "struct alone, decode"
 
 
@@ -68,14 +68,14 @@ def _codec(rounds: int) -> Table:
         Contender(UNPACK, loop(unpack, packets), "limit", note="to a dict with three lists"),
     ]
     text = (
-        f"A robot_row of 7 joints, {len(packets[0])} bytes including its header, to and from a dict with three lists. "
-        f"The values agree to {worst:.1g}. No other LabComm library for Python 3 is on PyPI."
+        f"A robot_row of 7 joints, {len(packets[0])} bytes with its header, converted from and to a dict with three "
+        f"lists. The values agree to {worst:.1g}. No other LabComm library for Python 3 is on PyPI."
     )
     return table("LabComm, one row", text, "µs", contenders, rounds)
 
 
 def _publishing(rounds: int) -> Table:
-    """Measure the cost of a row to the loop at 250 Hz for 0.2 s per block, with the server in a separate process."""
+    """Measure the cost of a row to the loop at 250 Hz in blocks of 0.2 s, with the server in a separate process."""
     robot = robots.load("yumi_right")
     q = np.array(robot.q_home)
     state = State(t=1.0, dt=0.004, q=q, qd=np.zeros(7), tau=np.zeros(7), robot=robot.name)
@@ -92,7 +92,7 @@ def _publishing(rounds: int) -> Table:
                 idle = [LabCommClient(port=ports[k % 2]) for k in range(count)]
                 deaf = LabCommClient(port=ports[0])
                 clients = [stack.enter_context(client) for client in (*idle, deaf)][:-1]
-        for _ in range(3000):  # fills the buffers of the operating system for the client that never reads
+        for _ in range(3000):  # fill the operating system's buffers for the client that never reads
             exchanges[1].row(state, None, tick)
             time.sleep(5e-4)
 
@@ -108,7 +108,7 @@ def _publishing(rounds: int) -> Table:
             Contender("armlab row, ten idle clients and one that never reads", publish(1), "armlab"),
         ]
         text = (
-            "Time of `Hub.row`, which the loop calls after each reply 250 times per second, with `LabCommProcess` at "
-            "the other end. The row is written and handed to that process; its clients do not take time from the loop."
+            "Time of `Hub.row`, which the loop calls after each reply, 250 times per second, with `LabCommProcess` at "
+            "the other end. `Hub.row` passes the row to that process, so clients do not take time from the loop."
         )
         return table("LabComm server, one row published", text, "µs", contenders, rounds)

@@ -17,7 +17,7 @@ from armlab.lie import euler, quaternion, se3, so3
 
 Function = Callable[[np.ndarray], Any]
 SINGLE = 200
-SAME = 1e-6  # pytransform3d's logarithm of poses near a half turn is no better
+SAME = 1e-6  # accuracy of pytransform3d's logarithm of poses near a half turn
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Job:
 
 
 def run(quick: bool) -> list[Table]:
-    """Compare `lie` with SciPy, pytransform3d and, where it has the function, Pinocchio."""
+    """Compare `lie` with SciPy, pytransform3d and (if it has the function) Pinocchio."""
     jobs = _jobs(100_000 if quick else 1_000_000)
     rounds = (20, 3) if quick else (50, 3)
     return [_one(job, rounds[0]) for job in jobs] + [_many(job, rounds[1]) for job in jobs]
@@ -151,13 +151,13 @@ def _many(job: Job, rounds: int) -> Table:
         *([Contender("pytransform3d", once(partial(job.batch, values)), note="for batches")] if job.batch else []),
         Contender("copying the same amount of data", once(partial(np.copyto, out, np.ones_like(out))), "limit"),
     ]
-    text = f"{len(values):,} in one call, with the default checks. All agree to {worst:.1g}."
+    text = f"{len(values):,} per call, with the default checks. All agree to {worst:.1g}."
     return table(f"{len(values):,} {job.name}", text, "ms", contenders, rounds)
 
 
 def _agree(job: Job, way: Function, values: np.ndarray) -> float:
     got, ours = way(values), job.ours(values)
-    if job.name == "quaternion.from_matrix":  # q and -q are one rotation
+    if job.name == "quaternion.from_matrix":  # q and -q are the same rotation
         got = np.where((got * ours).sum(axis=-1, keepdims=True) < 0, -got, got)
     return agree(job.name, got, ours, SAME)
 

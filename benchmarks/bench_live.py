@@ -1,4 +1,4 @@
-"""View of a running bridge: its cost, the delay of the picture, and its effect on the loop."""
+"""Live view of a bridge: its cost, the delay of the picture, and its effect on the loop."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from armlab.state import Command, State
 
 ROBOTS = ("yumi_left", "yumi_right")
 BROWSERS = (None, 0, 1, 4)  # None: no view
-CPU, BEHIND = 2.0, 3.0  # of one browser; the processor time and delay with four
-LONGEST = 120.0  # s of a run
-SETTLE = 3.0  # s after the browsers have connected that are not counted, because the scene is sent once
+CPU, BEHIND = 2.0, 3.0  # relative to one browser: processor time and delay with four
+LONGEST = 120.0  # s, maximum duration of a run
+SETTLE = 3.0  # s excluded after the browsers connect, while the scene is sent
 BROWSER = """
 import json, sys, time
 import msgspec, zstandard
@@ -56,7 +56,7 @@ CELL = "\n".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}"' for name 
 
 
 class Found(NamedTuple):
-    """One run: processor time of the view per second, delay of each picture [s], latencies, missed ticks."""
+    """One run: processor time of the view per second, picture delays [s], latencies, missed ticks."""
 
     cpu: float
     behind: np.ndarray
@@ -74,8 +74,8 @@ def run(quick: bool) -> list[Table]:
             found.append(_run(count, seconds))
     text = (
         "Two arms simulated in real time at 250 Hz; their controller sways both and returns a wrench with its "
-        "covariance. There are 30 pictures and ten curve updates per second. The browsers are programs that receive "
-        "and unpack all data but draw nothing, so that drawing does not take cores from the loop. The simulator, "
+        "covariance. The view updates 30 pictures and ten curves per second. The browsers are programs that receive "
+        "and unpack all data but draw nothing, so drawing does not take cores from the loop. The simulator, "
         f"loop, view and browsers share the machine. {seconds:g} s per run."
     )
 
@@ -182,9 +182,9 @@ def _seconds(process: int) -> float:
 
 
 def _behind(seen: np.ndarray, rows: Any) -> np.ndarray:
-    """Return the delay [s] of each picture of the force at the tool after the packet that it shows.
+    """Return the delay [s] of each picture of the tool force after the packet that it shows.
 
-    Measured positions are noisy, so each one can be matched to an earlier packet.
+    Measured positions are noisy, so each picture can be matched to an earlier packet.
     """
     came = 1e-9 * rows["receive_ns"]
     tool = forward(robots.load(ROBOTS[0]), np.ascontiguousarray(rows["q"]))[:, :3, 3]

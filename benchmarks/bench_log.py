@@ -1,5 +1,5 @@
-"""Logs: ten minutes of 30 signals at 250 Hz written to and read from every format, compared with the bare package
-calls.
+"""Logs: ten minutes of 30 signals at 250 Hz, written to and read from every format, compared with the underlying
+packages alone.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from armlab import log
 from armlab.log import Column
 
 ROWS, RATE = 150_000, 250.0
-OUT, BAG_IN = 2.0, 1.0  # of the bare package: writing every format, reading a bag
+OUT, BAG_IN = 2.0, 1.0  # relative to the bare package: writing any format; reading a bag
 TEXT = """\
-t and 30 noisy signals (q, qd, tau of 7 joints, a wrench, 3 of the user's), 36 MB. armlab also writes and checks the
-column descriptions and hashes the data that it reads ({size:.0f} MB). Values and hash are restored exactly.
+t and 30 noisy signals (q, qd, tau of 7 joints, a wrench, 3 user signals), 36 MB. armlab also writes and checks the
+column descriptions, and hashes the data it reads ({size:.0f} MB). Values and hash are restored exactly.
 """
 
 
@@ -79,7 +79,7 @@ class _Bench:
         return tables
 
     def _text(self, path: Path) -> str:
-        """Check that the hash is restored, and return the size."""
+        """Check that the hash is restored, and return the text with the file size."""
         again = log.read(log.write(self.table, path))
         if again.sha256 != self.table.sha256:
             raise Disagreement(f"{path.name}: expected the hash of the table, got a different one.")

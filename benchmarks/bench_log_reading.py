@@ -23,12 +23,12 @@ from armlab.log.mcap.records import contents, unpacked
 from armlab.robots import Robot
 
 ROWS, RATE = 150_000, 250.0
-ONE, ALL = 1.3, 3.0  # of the limit: one signal, all signals
+ONE, ALL = 1.3, 3.0  # relative to the limit: one signal; all signals
 LIMIT = "only SHA-256, zstd and CRC-32"
 TEXT = """\
-{size:.0f} MB of noise; wall clock. armlab checks every chunk, hashes the file and builds a numeric table in two
-threads; mcap and rosbags return the messages of the topic of q as bytes. The limit is SHA-256 of the file in parallel
-with zstd and CRC-32 of its chunks, which any signal needs, without copying numbers.
+{size:.0f} MB of noise, wall-clock time. armlab checks every chunk, hashes the file and builds a numeric table in two
+threads. mcap and rosbags return the messages of the topic of q as bytes. The limit is SHA-256 of the file in parallel
+with zstd and CRC-32 of its chunks, which every read needs, without copying numbers.
 """
 
 

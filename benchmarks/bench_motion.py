@@ -1,7 +1,7 @@
 """Movement primitives compared with movement_primitives: fit, rollout, one step, and a thousand runs at once.
 
-Seven coordinates, 1000 samples and 50 kernels; both are called through their public API. The peer has no batch
-function, so its runs are a loop, one pass of which is timed. Its derivatives and phase differ, so the motions are
+Seven coordinates, 1000 samples and 50 kernels; both libraries are called through their public API. The peer has no
+batch function, so its runs are a loop, of which one pass is timed. Its derivatives and phase differ, so the motions are
 compared with the demonstration.
 """
 
@@ -31,7 +31,7 @@ def run(quick: bool) -> list[Table]:
     return [
         table(
             "Movement primitives: fit to accelerations",
-            f"{text} Covariance and excitation are also computed.",
+            f"{text} armlab also computes covariance and excitation.",
             "ms",
             [
                 Contender("armlab fit_dmp(method='acceleration')", _fit(t, y, method="acceleration"), "armlab"),
@@ -143,7 +143,7 @@ def _batches(ours: Dmp, theirs: DMP, t: np.ndarray) -> list[Contender]:
         Contender(
             "armlab rollout_batch(weights)",
             once(lambda: ours.rollout_batch(t, weights=weights)),
-            note="each with its own weights",
+            note="separate weights per run",
         ),
         Contender("movement_primitives open_loop, 1000 of them", once(theirs.open_loop, scale=RUNS), bar=1 / 150),
     ]

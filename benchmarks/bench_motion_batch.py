@@ -1,6 +1,6 @@
 """A thousand movement primitives at once, and a fit to the trajectory, compared with mp_pytorch if it is installed.
 
-Seven coordinates, 1000 samples, 50 kernels. The equation, kernels, weights, starts and goals are the same, so both are
+Seven coordinates, 1000 samples, 50 kernels. Equation, kernels, weights, starts and goals are the same, so both are
 compared with the exact solution. The peer returns positions and velocities; armlab also returns accelerations.
 """
 
@@ -17,8 +17,8 @@ from demonstrations import JOINTS, KERNELS, N, demonstration, rmse
 
 from armlab.motion import Dmp, fit_dmp
 
-RUNS, CHECKED = 1000, 5  # CHECKED of the runs are compared with the exact solution
-FACTOR = 1 / 0.8**2  # of mp_pytorch, with widths by armlab's rule
+RUNS, CHECKED = 1000, 5  # runs; runs compared with the exact solution
+FACTOR = 1 / 0.8**2  # bandwidth factor of mp_pytorch for armlab's kernel widths
 SIZE = f"{JOINTS} coordinates x {N} samples, {KERNELS} kernels."
 KINDS = {"dmp": "DMP", "prodmp": "ProDMP"}
 ALONE = "without a peer: mp_pytorch is not installed, see benchmarks/requirements_heavy.txt"
@@ -95,7 +95,7 @@ class _Peers:
     def rollouts(
         self, kind: str, t: np.ndarray, dmp: Dmp, weights: np.ndarray
     ) -> Iterator[tuple[str, Callable[[], Any]]]:
-        """Yield names and functions that return positions and velocities; a common clock for all runs is fastest."""
+        """Yield names and functions that return positions and velocities; a clock common to all runs is fastest."""
         goals = np.broadcast_to(dmp.g, (RUNS, JOINTS))[:, :, None]
         wanted = np.concatenate([np.swapaxes(weights, 1, 2), goals], axis=2).reshape(RUNS, -1)
         starts = [np.zeros(RUNS), *(np.broadcast_to(part, (RUNS, JOINTS)) for part in (dmp.y0, dmp.v0))]

@@ -1,5 +1,4 @@
-"""Distributions, rhythmic motions, obstacles and moving goals, compared with movement_primitives where it supports
-them.
+"""Distributions, rhythmic motions, obstacles and moving goals, compared with movement_primitives where possible.
 
 The peer's ProMP builds square matrices over all samples of all coordinates, so the demonstrations are short.
 """
@@ -14,9 +13,9 @@ from movement_primitives.promp import ProMP as TheirProMP
 
 from armlab.motion import AvoidingDmp, Capsule, fit_dmp, fit_periodic_dmp, fit_promp
 
-SHOWN, SAMPLES, WEIGHTS = 20, 100, 10  # number of demonstrations of a distribution
+SHOWN, SAMPLES, WEIGHTS = 20, 100, 10  # demonstrations, samples and kernels of a distribution
 AT = 0.4  # share of the duration at which the distribution is conditioned
-RHYTHM, TURNS = 25, 3  # kernels, periods
+RHYTHM, TURNS = 25, 3  # kernels; periods
 BALL = np.array([0.5, 0.06, 0.02])
 CLEARANCE = 0.05
 
@@ -115,9 +114,9 @@ def _obstacles(rounds: int) -> Table:
 
     nearest = [np.linalg.norm(path - BALL, axis=1).min() for path in (own(), peer())]
     text = (
-        f"Three coordinates x {N} samples, {KERNELS} kernels, one point next to the path. Closest distance: "
+        f"Three coordinates x {N} samples, {KERNELS} kernels, one point next to the path. Smallest distance: "
         f"{nearest[0]:.3f} m (armlab, requested {CLEARANCE} m) and {nearest[1]:.3f} m (movement_primitives, which has "
-        "no clearance)."
+        "no clearance setting)."
     )
     rows = [
         Contender("armlab AvoidingDmp.rollout", once(own), "armlab"),
@@ -151,6 +150,6 @@ def _goals(rounds: int) -> Table:
     text = f"{JOINTS} coordinates, {KERNELS} kernels; a goal change followed by a step."
     rows = [
         Contender("armlab Stepper.change_goal, step", loop(own, goals), "armlab"),
-        Contender("movement_primitives configure, step", loop(peer, goals), note="its goal is not filtered"),
+        Contender("movement_primitives configure, step", loop(peer, goals), note="goal not filtered"),
     ]
     return table("Movement primitives: a goal that moves", text, "µs", rows, rounds)

@@ -1,4 +1,4 @@
-"""One pose, and one pose with its Jacobian, as called by a controller in every cycle."""
+"""One pose, and one pose with its Jacobian, as computed by a controller in every cycle."""
 
 from __future__ import annotations
 

@@ -25,15 +25,15 @@ from armlab.log import Recorder, Tick
 from armlab.state import Command, State
 
 ROBOT = "yumi_right"
-BAR = 1.0  # of mcap.Writer and rosbags, which write two of the twelve topics
+BAR = 1.0  # relative to mcap.Writer and rosbags, which write two of the twelve topics
 LOSS = 1.0  # s
-TOGETHER = 4  # processes that record until they are killed
-PRIORITY = 50  # as in the bridge
+TOGETHER = 4  # recording processes in parallel
+PRIORITY = 50  # real-time priority, as in the bridge
 Rows = list[tuple[State, Command, Tick]]
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure rows in a paced loop, processor time, killed processes, and a stalled disk."""
+    """Measure rows in a paced loop, processor time, loss after a kill, and a stalled disk."""
     with tempfile.TemporaryDirectory() as folder:
         return [
             *_row(Path(folder), 2.0 if quick else 3.0, 2 if quick else 3),
@@ -75,10 +75,10 @@ def _row(folder: Path, seconds: float, rounds: int) -> list[Table]:
         ]
         text = (
             f"First line: every call in a real-time run over `sim://{ROBOT}` whose controller returns references, a "
-            f"wrench with its covariance and three numbers; most of the recorded data have just been created. Other "
-            f"lines: the full layout with noise in every number, as fresh arrays, in a loop that does nothing else, "
-            f"so that less of the recorder remains in the caches. {1 / PERIOD:g} Hz with sleep between the calls, and "
-            f"real-time priority if permitted. Percentile {percent} of a block of {seconds:g} s, wall-clock time."
+            f"wrench with its covariance and three numbers, so most of the recorded data have just been created. Other "
+            f"lines: the full layout with noise in every number, as fresh arrays, in an otherwise empty loop, "
+            f"so less of the recorder stays in the caches. {1 / PERIOD:g} Hz with sleep between calls, and real-time "
+            f"priority if permitted. Percentile {percent} of a block of {seconds:g} s, wall-clock time."
         )
         told = figures(contenders, samples, lambda block, q=percent: np.percentile(block, q))
         tables.append(Table(f"Recorder: a row in the loop, p{percent}", text, "µs", told, rounds))
@@ -133,7 +133,7 @@ def _in_the_loop(file: object, names: tuple[str, ...]) -> Callable[[tuple[State,
 
 
 def _cpu(folder: Path, seconds: float, rounds: int) -> Table:
-    """Measure the processor time of the whole process with 30 signals, and of the same loop without a recorder."""
+    """Measure the processor time of the process with 30 signals, and of the same loop without a recorder."""
     robot, rows = robots.load(ROBOT), full_rows(500, only_signals=True)
 
     def share(work: Callable[[tuple[State, Command, Tick]], object]) -> float:
@@ -160,7 +160,7 @@ def _cpu(folder: Path, seconds: float, rounds: int) -> Table:
         Contender("the loop alone", lambda: np.array([share(lambda _: None)]), "limit"),
     ]
     text = (
-        f"Processor time of all threads per second at {1 / PERIOD:g} Hz: q, qd, tau of 7 joints, a wrench, 3 user "
+        f"Processor time of all threads per second at {1 / PERIOD:g} Hz for q, qd, tau of 7 joints, a wrench, 3 user "
         f"columns and the tick data. Blocks of {seconds:g} s with and without the recorder alternate."
     )
     samples = alternate(contenders, rounds, warm=False)
@@ -170,12 +170,12 @@ def _cpu(folder: Path, seconds: float, rounds: int) -> Table:
 def _kill(folder: Path, trials: int) -> Table:
     """Kill processes with two recorders at random times; report how many seconds of rows each recorder lost."""
     with warnings.catch_warnings(), ThreadPoolExecutor(TOGETHER) as pool:
-        warnings.simplefilter("ignore")  # recordings were not finished
+        warnings.simplefilter("ignore")  # about unfinished recordings
         losses = PERIOD * np.array(list(pool.map(killed, [folder / f"{k}" for k in range(trials)], range(trials))))
     text = (
         f"{trials} processes, {TOGETHER} at a time, each with two recorders and the full layout at {1 / PERIOD:g} Hz "
         "in real time, killed with signal 9 after 1 s to 4 s. Values are the seconds of recorded rows that cannot be "
-        f"read. Metadata, attachments and the events of all {2 * trials} files are complete; "
+        f"read. Metadata, attachments and events of all {2 * trials} files are complete; "
         f"{int((losses == 0).sum())} of the recorders lost no row. The first column is the worst loss, to which the "
         "target applies."
     )
@@ -184,20 +184,20 @@ def _kill(folder: Path, trials: int) -> Table:
 
 
 def _stall(folder: Path, seconds: float) -> Table:
-    """Run a simulated arm with a responsive disk, and with a disk that stalls in the middle."""
+    """Run a simulated arm with a responsive disk, and with a disk that stalls in mid-run."""
     free, held = (stalled(folder / name, ROBOT, seconds, still) for name, still in (("free", False), ("held", True)))
     for one in (free, held):
         if one.written + one.dropped != one.packets or one.told != one.dropped:
             raise Disagreement(
                 f"Expected {one.packets} packets to be written or reported as dropped, got {one.written} rows and "
-                f"{one.dropped} dropped, of which events report {one.told}."
+                f"{one.dropped} dropped, of which {one.told} are reported by events."
             )
     text = (
-        f"`sim://{ROBOT}` at 250 Hz for {BEFORE + seconds + AFTER:g} s while the arm holds; in the second run, no "
-        f"write or sync returns for {seconds:g} s. Times are from arrival to reply by kernel stamps, for the ticks in "
-        f"those {seconds:g} s. Without: {free.missed} of {free.packets} packets missed, {free.late} late; with: "
-        f"{held.missed} of {held.packets}, {held.late} late, and {held.dropped} rows dropped, exactly as reported in "
-        "the summary and events."
+        f"`sim://{ROBOT}` at 250 Hz for {BEFORE + seconds + AFTER:g} s while the arm holds. In the second run, no "
+        f"write or sync returns for {seconds:g} s. Times from arrival to reply are kernel time stamps of the ticks in "
+        f"those {seconds:g} s. Without a stall: {free.missed} of {free.packets} packets missed, {free.late} late; "
+        f"with a stall: {held.missed} of {held.packets} missed, {held.late} late, and {held.dropped} rows dropped, as "
+        "reported in the summary and events."
     )
     told = (
         _figure("armlab bridge, disk stalled", held.latencies, None),

@@ -1,4 +1,4 @@
-"""Servers that send rows to programs: cost at 250 Hz, messages missed by the client, and latency."""
+"""Servers that send rows to other programs: cost at 250 Hz, missing messages, and latency."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from armlab.errors import ArmlabError
 from armlab.log import Tick
 from armlab.state import State
 
-SHARE = 0.001  # share of missing messages
-CPU, LATENCY = 1.0, 1.3  # of a bare publisher of the same messages: processor time, median latency
+SHARE = 0.001  # allowed share of missing messages
+CPU, LATENCY = 1.0, 1.3  # relative to a bare publisher: processor time; median latency
 
 
 class Found(NamedTuple):
-    """One run: processor time of the publisher per second, and the messages received by the client."""
+    """One run: processor time of the publisher per second, and messages received by the client."""
 
     cpu: float
     got: Received
@@ -48,12 +48,12 @@ def run(quick: bool) -> list[Table]:
         f"through the feed and a server process to a client process; {seconds:g} s, counted from 2 s after the "
         "first message. If none of n messages is missing, the true share is at most 3/n with 95 % confidence. The "
         f"latency is measured from the stamp of the row to the client's callback. For comparison, for {bare:g} s, a "
-        "bare publisher sends the same messages to the same client without the loop, the feed or armlab; it shows the "
-        "delay caused by the machine or the library. Processor time includes the server and all processes that it "
+        "bare publisher sends the same messages to the same client without the loop, the feed or armlab. Its delay is "
+        "that of the machine and the library. Processor time includes the server and all processes that it "
         "started. All processes share the machine's cores."
     )
     if missing:
-        text += f" Not measured because programs are missing: {', '.join(missing)}."
+        text += f" Not measured, because programs are missing: {', '.join(missing)}."
 
     def told(title: str, unit: str, bar: float | None, value: str, share: float = 50.0) -> Table:
         rows = [row for name, both in found.items() for row in _rows(name, both, bar, value, share)]

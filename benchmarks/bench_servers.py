@@ -1,4 +1,4 @@
-"""The loop of a whole cell with all servers enabled, and with clients that stop reading."""
+"""Loop of a complete cell with all servers enabled, and with clients that stop reading."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from armlab.errors import ArmlabError, LinkError
 
 ARMS = (ROBOT, "yumi_right")
 MORE = 1.5  # factor on the median reply time without servers
-SHARE = 0.001  # share of missing messages of other clients
+SHARE = 0.001  # allowed share of missing messages of other clients
 RATE = 248  # packets of an arm per second
 SLOWED = (
-    f"An arm in real time sends {RATE} packets per second. If fewer than 95 % of them arrived, the simulator did not "
-    "get enough processor time, and the targets are not checked."
+    f"In real time, an arm sends {RATE} packets per second. If fewer than 95 % of them arrived, the simulator lacked "
+    "processor time, and the targets are not checked."
 )
-TOGETHER = 4  # servers with a stalled client at the same time; two cores cannot serve more
-TRIES = 3  # s to start all servers at once
-ENOUGH = 10**9  # number of messages of a client that reads until it is terminated
+TOGETHER = 4  # servers with a stalled client at a time; more would overload two cores
+TRIES = 3  # attempts to start all servers at once
+ENOUGH = 10**9  # messages of a client that reads until terminated
 
 
 class Window(NamedTuple):
-    """Loop while clients read: times from arrival to reply [s], ticks, missed or late ticks, duration [s]."""
+    """Loop while clients read: times from arrival to reply [s]; ticks, and missed or late ticks; duration [s]."""
 
     answer: np.ndarray
     ticks: int
@@ -45,7 +45,7 @@ class Window(NamedTuple):
 
 
 class Slow(NamedTuple):
-    """One run with stalled clients: the loop, and for each path the other client's messages and the run statistics."""
+    """One run with stalled clients: the loop, and per path the messages of the other client and the run statistics."""
 
     loop: Window
     others: Mapping[str, Received]
@@ -70,12 +70,12 @@ def run(quick: bool) -> list[Table]:
         slow = [_slow({name: ways[name] for name in group}, long) for group in groups]
     text = (
         f"Two arms simulated in real time over EGM by another process, {seconds:g} s per run after all clients have "
-        f"read for {SETTLED:g} s; the arms hold. *With* means a server for each of "
+        f"read for {SETTLED:g} s; the arms hold. *With* means one server for each of "
         f"{', '.join(way.server for way in ways.values())}, each with one client that reads joint states and wrenches, "
         "or rows (the simulated arms have no force sensor, so no wrenches arrive). *Without* means only the loop. The "
         f"simulator, loop, servers and clients ({2 + 2 * len(ways)} processes, more with ROS 1) share the machine's "
-        f"{os.cpu_count()} cores, so the loop also waits for the clients and the simulator, which would run elsewhere "
-        f"on a real robot. Runs with and without servers alternate. {SLOWED}"
+        f"{os.cpu_count()} cores. The loop therefore also waits for the clients and the simulator, which would run on "
+        f"other computers with a real robot. Runs with and without servers alternate. {SLOWED}"
     )
     return [*_loops(text, loops, samples, rounds), *_slows(slow, loops[1], long)]
 
@@ -109,10 +109,10 @@ def _loops(text: str, loops: list[list[Window]], samples: list[list[np.ndarray]]
 def _slows(slow: Sequence[Slow], alone: Sequence[Window], seconds: float) -> list[Table]:
     text = (
         f"Two simulated arms and up to {TOGETHER} servers. One client of each server begins to read and is then "
-        f"stopped by a signal for the rest of the run; another client reads for {seconds:g} s, counted from "
-        f"{SETTLED:g} s after its first message. *Reported* are the statistics of the run on rows that the server did "
-        "not accept and messages dropped for clients; the DDS, Zenoh and ROS 1 libraries do not report dropped "
-        "messages to the server. Datagrams for PlotJuggler go to only one program, so there is no other client. "
+        f"stopped by a signal for the rest of the run. Another client reads for {seconds:g} s, counted from "
+        f"{SETTLED:g} s after its first message. *Reported* are the run statistics on rows not accepted by the server "
+        "and messages dropped for clients. The DDS, Zenoh and ROS 1 libraries do not report dropped messages to the "
+        "server. Datagrams for PlotJuggler go to only one program, so there is no other client. "
         f"{SLOWED}"
     )
     allowed = float(np.median([one.missed / one.ticks for one in alone]))
@@ -136,7 +136,7 @@ def _row(name: str, value: float, bar: float | None, note: str) -> tuple[Figure,
 
 
 def _kept_up(loops: Sequence[Window]) -> bool:
-    """Return whether the simulator sent in real time."""
+    """Return whether the simulator kept up with real time."""
     return min(one.ticks / one.seconds / len(ARMS) for one in loops) > 0.95 * RATE
 
 
@@ -196,7 +196,7 @@ def _slow(ways: Mapping[str, Way], seconds: float) -> Slow:
             reader.begun()
         begin, end = _passed(seconds)
         for reader in kept.values():
-            reader.process.terminate()  # it prints the received messages
+            reader.process.terminate()  # on termination, it prints the received messages
             reader.wait(PATIENCE)
         return begin, end
 
@@ -223,13 +223,13 @@ def _passed(seconds: float) -> tuple[int, int]:
 
 
 def _played(ways: Sequence[Way], script: Callable[[ExitStack], tuple[int, int]]) -> tuple[Any, tuple[int, int]]:
-    """Run a cell while a script acts as its clients; the run ends with the script."""
+    """Run a cell while a script acts as its clients; the run ends when the script ends."""
     text = "".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}"\n' for name in ARMS)
     found: list[Any] = []
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
         for way in ways:
-            if way.server == "local":  # every cell has it, where its client expects it
+            if way.server == "local":  # every cell has this server at the path that its client expects
                 os.environ["XDG_RUNTIME_DIR"] = way.environment["XDG_RUNTIME_DIR"]
             else:
                 table = way.table.replace(f"{ROBOT} = 0", ", ".join(f"{name} = 0" for name in ARMS))
@@ -240,14 +240,14 @@ def _played(ways: Sequence[Way], script: Callable[[ExitStack], tuple[int, int]])
                 with told, contextlib.suppress(KeyboardInterrupt):
                     run_cell(cell, patience=PATIENCE, ready=lambda line: told.start(), ended=found.append)
                 break
-            except LinkError:  # servers that did not start in time on a loaded machine
+            except LinkError:  # some servers did not start in time on a loaded machine
                 if found or not left:
                     raise
     return found[0], told.result()
 
 
 class _Script:
-    """Runs the clients in a thread, and ends the run like Ctrl-C."""
+    """Runs the clients in a thread, and then ends the run like Ctrl-C."""
 
     def __init__(self, body: Callable[[ExitStack], tuple[int, int]]) -> None:
         self._body = body
@@ -283,7 +283,7 @@ class _Script:
 
 
 def _window(run: Any, begin: int, end: int) -> Window:
-    """Return the loop statistics of both arms in that interval."""
+    """Return the loop statistics of both arms in an interval."""
     answers, ticks, missed = [], 0, 0
     for arm in run.arms:
         table = arm.table

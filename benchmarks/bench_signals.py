@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from armlab.signals import CausalDiff, ExpFilter, Integrator, LowPass2, Notch
 
 DT = 0.004
-BAR = 2.0  # of a copy of the array: one step of 7 joints
+BAR = 2.0  # relative to a copy of the array, for one step of 7 joints
 COPY = "a Python function that copies the array"
 JOINTS = 7
 
@@ -30,7 +30,7 @@ def run(quick: bool) -> list[Table]:
         Contender("armlab's reference kernel, LowPass2", loop(reference.step, samples), note="plain NumPy"),
         Contender(COPY, loop(lambda x: x.copy(), samples), "limit"),
     ]
-    text = f"One sample of {JOINTS} joints. Agreement with the reference to {worst:.1g}."
+    text = f"One sample of {JOINTS} joints. Results agree with the reference to {worst:.1g}."
     record = rng.standard_normal((100_000 if quick else 1_000_000, JOINTS))
     alpha = np.exp(-DT / 0.1)
     filtered, scipy = ExpFilter(0.1, DT, init=0.0), _scipy(alpha)

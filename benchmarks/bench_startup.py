@@ -1,4 +1,4 @@
-"""Processor time of imports (in addition to Python and NumPy) and of the help of the commands."""
+"""Processor time of imports (in addition to Python and NumPy) and of the commands' help."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from blocks import Contender, Table, table
 
-BAR = 0.5  # of the import time of Pinocchio
-HELP_BAR = 2.0  # of the import time of its libraries alone
+BAR = 0.5  # relative to importing Pinocchio
+HELP_BAR = 2.0  # relative to importing its libraries alone
 LIBRARIES = "import numpy, cyclopts, rich"
 VERBS = (
     "",
@@ -60,8 +60,8 @@ def run(quick: bool) -> list[Table]:
     helps.append(Contender(LIBRARIES, _running("-c", LIBRARIES), "limit"))
     times = 3 if quick else 7
     text = (
-        "Processor time of the import in a fresh interpreter that has already imported NumPy; files are compiled "
-        "and cached."
+        "Processor time of the import in a fresh interpreter that has already imported NumPy; compiled files are "
+        "cached."
     )
     help_text = "Processor time of the whole process, including the start of the interpreter."
     return [
@@ -93,7 +93,7 @@ def _running(*words: str) -> Callable[[], np.ndarray]:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment of a user, with compiled files; pip compiles on installation, an editable armlab on first
-    import.
+    """Return a user's environment with compiled files; an editable installation compiles them on first import, unlike
+    pip.
     """
     return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}

@@ -1,4 +1,4 @@
-"""Motions as controllers at 250 Hz: the two-degree-of-freedom law alone, and one call of each controller."""
+"""Motion controllers at 250 Hz: the two-degree-of-freedom law alone, and one call of each controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from armlab.kinematics import forward
 from armlab.motion.primitive.run import RunParameters
 
 DT = 0.004
-KERNEL_BAR, CALL_BAR = 1 / 100, 3.0  # of plain NumPy, and of a loop of 10 µs for 99.9 % of the calls
+KERNEL_BAR, CALL_BAR = 1 / 100, 3.0  # relative to plain NumPy; to a 10 µs loop, for 99.9 % of the calls
 LOOP = "a loop of Python for 10 µs"
 ROBOT = robots.load("yumi_right")
 SPEED = np.array([1.0, 1.0, 0.0])
@@ -40,7 +40,7 @@ def run(quick: bool) -> list[Table]:
         Contender("armlab kernels.TwoDof.follow", loop(step(law), states), "armlab"),
         Contender("armlab's reference kernel", loop(step(plain), states[:20]), bar=KERNEL_BAR, note="plain NumPy"),
     ]
-    text = f"One step for 7 joints and 50 kernels from Python; agreement with the reference to {worst:.1g}."
+    text = f"One step for 7 joints and 50 kernels from Python; it agrees with the reference to {worst:.1g}."
     pose = motion.fit_pose_dmp(t, forward(ROBOT, shown.at(t)[0])).value
     movements = {"TwoDofDmp": two_dof, "Dmp": dmp, "PoseDmp": pose}
     return [
@@ -50,7 +50,7 @@ def run(quick: bool) -> list[Table]:
 
 
 def _calls(movements: dict[str, Movement], count: int, rounds: int) -> list[Table]:
-    """Return one table per quantile of the calls in a round, which is a whole motion with perfect tracking."""
+    """Return one table per quantile of the calls in a round, which is a complete motion with perfect tracking."""
     calls = [
         Contender(f"armlab {name}.controller", _along(one.controller(ROBOT, duration=count * DT), count), "armlab")
         for name, one in movements.items()

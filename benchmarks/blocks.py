@@ -1,9 +1,9 @@
-"""Measurement of contenders in alternating blocks of one run, and its results `Figure` and `Table`.
+"""Measurement of contenders in alternating blocks of one run, with the results `Figure` and `Table`.
 
 A shared machine can be slow for seconds at a time. The contenders therefore alternate in short blocks, in a new random
 order each round, and ratios are computed between blocks of the same round. `loop` and `once` measure the processor time
-of all threads, which excludes waiting for a core; `each` measures wall-clock time, as needed for latencies. The garbage
-collector runs as it would for a user.
+of all threads, which excludes waiting for a core. `each` measures wall-clock time, which matters for latencies. The
+garbage collector stays enabled, as it is for users.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 TIMES = ("µs", "ms", "s")
 Block = Callable[[], np.ndarray]
-"""Runs one block; returns seconds per call, with one value per sample."""
+"""Function that runs one block and returns seconds per call, one value per sample."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Contender:
 
     Attributes
     ----------
-    name, note : as shown in the report. block : measures once.
-    role : "armlab", "peer" or "limit" (the limit of the machine).
-    bar : largest allowed ratio. For a peer or limit: armlab's time to its time. For armlab: its time to that of the
-        contender `over`. For armlab without `over`: the largest value, if it does not depend on the processor.
+    name, note : as shown in the report. block : measures one block.
+    role : "armlab", "peer" or "limit" (a limit of the machine).
+    bar : largest allowed ratio. For a peer or limit: armlab's time over its time. For armlab with `over`: armlab's time
+        over that of the contender `over`. For armlab without `over`: largest value, if independent of the processor.
     over : name of another contender of the same run.
     """
 
@@ -43,11 +43,11 @@ class Contender:
 
 @dataclass(frozen=True)
 class Figure:
-    """Measurements of one contender: spread over the blocks [s], and ratio of armlab's time to its time.
+    """Measurements of one contender: spread over the blocks [s], and ratio of armlab's time to the contender's.
 
     Attributes
     ----------
-    over, multiple : for armlab, the contender to which its target refers, and the measured ratio to it.
+    over, multiple : for armlab, the contender to which its target refers, and the measured ratio.
     """
 
     name: str
@@ -83,10 +83,10 @@ class Table:
     rounds: int
 
     def __post_init__(self) -> None:
-        """Raise if a time has a target of its own."""
+        """Raise an error if a time has an absolute target."""
         for one in self.figures if self.unit in TIMES else ():
             if one.role == "armlab" and one.bar is not None and not one.over:
-                raise ValueError(f"Expected {one.name} to be judged by a ratio, got a bar in {self.unit}. Name `over`.")
+                raise ValueError(f"Expected {one.name} to be judged by a ratio, got a bar in {self.unit}. Set `over`.")
 
 
 class Disagreement(Exception):
@@ -103,7 +103,7 @@ def agree(what: str, got: Any, expected: Any, tolerance: float = 1e-9) -> float:
 
 
 def loop(function: Callable[[Any], Any], items: Sequence[Any]) -> Block:
-    """Block with one call per item; yields one sample, the mean time of a call including ~20 ns for the loop."""
+    """Return a block with one call per item; it yields the mean time of a call, including ~20 ns for the loop."""
 
     def block() -> np.ndarray:
         start = process_time()
@@ -115,9 +115,9 @@ def loop(function: Callable[[Any], Any], items: Sequence[Any]) -> Block:
 
 
 def once(function: Callable[[], Any], scale: float = 1.0, clock: Callable[[], float] = process_time) -> Block:
-    """Block with a single call; its time by `clock` is multiplied by `scale`.
+    """Return a block with a single call, whose time by `clock` is multiplied by `scale`.
 
-    The result is freed after the clock has stopped.
+    The result is freed outside the measured time.
     """
 
     def block() -> np.ndarray:
@@ -133,11 +133,12 @@ def once(function: Callable[[], Any], scale: float = 1.0, clock: Callable[[], fl
 def each(
     function: Callable[[Any], Any], items: Sequence[Any], begin: Callable[[], Any] | None = None, period: float = 0.0
 ) -> Block:
-    """Block with one call per item; each call has its own time (including ~50 ns for the clock).
+    """Return a block with one call per item, each with its own time (including ~50 ns for the clock).
 
     Parameters
     ----------
-    begin : called before the block, outside the time. period : seconds from call to call, asleep between; 0: none.
+    begin : called before the block, outside the measured time. period : seconds between the starts of calls, asleep in
+        between; 0: none.
     """
 
     def block() -> np.ndarray:
@@ -158,9 +159,9 @@ def each(
 
 
 def alternate(contenders: Sequence[Contender], rounds: int, warm: bool = True) -> list[list[np.ndarray]]:
-    """Run every contender `rounds` times alternately; return samples by contender and round.
+    """Run every contender `rounds` times alternately; return the samples by contender and round.
 
-    `warm` runs each contender once before; it is unnecessary if a block starts its own processes.
+    `warm` first runs each contender once; it is unnecessary if a block starts its own processes.
     """
     rng = np.random.default_rng(0)
     samples: list[list[np.ndarray]] = [[] for _ in contenders]
@@ -177,7 +178,7 @@ def figures(
     samples: list[list[np.ndarray]],
     statistic: Callable[[np.ndarray], Any] = np.median,
 ) -> tuple[Figure, ...]:
-    """Reduce each block with `statistic`, then return its spread over the rounds; the first contender is armlab."""
+    """Reduce each block with `statistic`, and return the spread over the rounds; the first contender is armlab."""
     values = np.array([[statistic(block) for block in blocks] for blocks in samples])
     medians = np.median(values, axis=1)
     named = {contender.name: median for contender, median in zip(contenders, medians, strict=True)}
@@ -195,5 +196,5 @@ def figures(
 
 
 def table(title: str, text: str, unit: str, contenders: Sequence[Contender], rounds: int, warm: bool = True) -> Table:
-    """Measure the contenders and return the table of their medians."""
+    """Measure the contenders, and return the table of their medians."""
     return Table(title, text, unit, figures(contenders, alternate(contenders, rounds, warm)), rounds)

@@ -17,5 +17,5 @@ def demonstration(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rmse(path: np.ndarray, wanted: np.ndarray) -> float:
-    """Return the root of the mean squared difference."""
+    """Return the root-mean-square difference."""
     return float(np.sqrt(((path - wanted) ** 2).mean()))

@@ -2,8 +2,8 @@
 
 NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "both" for two arms in one loop, "estimator" for
 the contact-force estimator in the loop with the model file MODEL, or the name of a PyPI package, which sends back the
-received joints. All except "spin", which never yields, run with real-time priority if the system permits it. The client
-prints "ready" when it is listening.
+received joints. All except "spin", which never yields, run with real-time priority if permitted. The client prints
+"ready" when it listens.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-PRIORITY = 50  # as in the bridge
+PRIORITY = 50  # real-time priority, as in the bridge
 SILENCE = 5.0  # s
 
 
 def answer(package: str, port: int) -> None:
-    """Answer every packet with its own joints until the robot is silent."""
+    """Reply to every packet with its own joints until the robot stops sending."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:
@@ -33,7 +33,7 @@ def answer(package: str, port: int) -> None:
 
 
 def bridge(way: str, ports: list[int], file: Path | None) -> None:
-    """Run armlab's bridge until the robot is silent."""
+    """Run armlab's bridge until the robot stops sending."""
     from armlab import models, robots
     from armlab.bridge import connect
     from armlab.contact import Estimator

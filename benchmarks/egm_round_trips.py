@@ -1,7 +1,7 @@
 """Round trips of EGM clients with `armlab sim` in one run: the bridge, abb_libegm, PyPI packages, and an echo.
 
 abb_libegm is included if the variable LIBEGM contains its source folder, and protoc, protobuf and Boost are installed.
-A C++ program that sends back one datagram shows the limit of the machine.
+A C++ program that echoes each datagram shows the limit of the machine.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from armlab import models, robots
 from armlab.wire.egm import EgmCodec, Reference
 
 ROBOT, BOTH = "yumi_right", ("yumi_left", "yumi_right")
-PRIORITY = 50  # of the simulator and its clients
+PRIORITY = 50  # real-time priority of the simulator and its clients
 CLIENT, PEER = (Path(__file__).parent / name for name in ("egm_client.py", "egm_peer.cpp"))
 PEERS = ("ABBRobotEGM", "abb_robot_client")
 LIBEGM, ECHO = "abb_libegm", "echo in C++"
-BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # of the round trip of each PyPI package
+BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # relative to the round trip of each PyPI package
 OF_LIBEGM = {"ahead": 1.0, "spin": 0.8, "estimator": 1.2, "both": 1.3}
 REPORTED = {
     "ahead": "armlab bridge, empty controller",
@@ -39,7 +39,7 @@ REPORTED = {
 
 
 def round_trips(quick: bool) -> list[Table]:
-    """Measure at 250 Hz in alternating blocks, then two arms in one loop, and lateness at 1 kHz once."""
+    """Measure at 250 Hz in alternating blocks, then two arms in one loop, and once the lateness at 1 kHz."""
     seconds, rounds = (3.0, 2) if quick else (3.0, 5)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.toml"
@@ -66,15 +66,15 @@ def round_trips(quick: bool) -> list[Table]:
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
         f"two cores) on its own core, both with real-time priority if permitted. Times are from just before a packet "
         f"is sent to the kernel's stamp of its reply: median or 99th percentile of a block of {seconds:g} s, {rounds} "
-        f"alternating blocks per client. At 1 kHz over {long:g} s, replies later than a period: {late['ahead']:.2f} %, "
-        f"with spin {late['spin']:.2f} %."
+        f"alternating blocks per client. At 1 kHz over {long:g} s, {late['ahead']:.2f} % of the replies took longer "
+        f"than a period, and {late['spin']:.2f} % with spin."
     )
     chosen = [(way, number) for number in (0, 1) for way in REPORTED]
     return [*(_table(way, number, text, clients, contenders, samples, rounds) for way, number in chosen), both]
 
 
 def _compiled(folder: Path) -> dict[str, list[str]]:
-    """Build the C++ clients; return the commands without the port. Empty without a compiler."""
+    """Build the C++ clients; return their commands without the port, or nothing without a compiler."""
     compiler, robot, found = shutil.which("c++"), robots.load(ROBOT), {}
     if compiler is None:
         return found
@@ -95,7 +95,7 @@ def _compiled(folder: Path) -> dict[str, list[str]]:
 
 
 def _two_arms(file: Path, seconds: float, rounds: int, compiled: dict[str, list[str]]) -> Table:
-    """Return the round trips of both arms of a robot, which send simultaneously, compared with those of one arm."""
+    """Return the round trips of a robot's two arms, which send simultaneously, compared with those of one arm."""
 
     def block(client: str) -> Callable[[], np.ndarray]:
         program = compiled.get(client)
@@ -120,7 +120,7 @@ def _two_arms(file: Path, seconds: float, rounds: int, compiled: dict[str, list[
 
 
 def run(client: str, file: Path, seconds: float, period: float, program: list[str] | None = None) -> list[dict]:
-    """Return the simulator's counts for each arm with one client; `program`: its command if it is compiled."""
+    """Return the simulator's statistics per arm with one client; `program`: command of a compiled client."""
     arms = BOTH if client == "both" else (ROBOT,)
     ports = [_free_port() for _ in arms]
     stats = file.parent / "stats.json"
@@ -144,7 +144,7 @@ def run(client: str, file: Path, seconds: float, period: float, program: list[st
                 check=True,
                 capture_output=True,
             )
-        peer.kill()  # it waits for more packets
+        peer.kill()  # otherwise, it would wait for more packets
     return list(json.loads(stats.read_text()).values())
 
 
@@ -156,7 +156,7 @@ def _free_port() -> int:
 
 @contextmanager
 def _on_core(number: int, priority: int = 0) -> Iterator[None]:
-    """Start processes on one of the cores (if there are several) and with a priority (if permitted)."""
+    """Start processes on one core (if there are several) and with a priority (if permitted)."""
     cores, rest = sorted(os.sched_getaffinity(0)), (os.sched_getscheduler(0), os.sched_getparam(0))
     if len(cores) > 1:
         os.sched_setaffinity(0, {cores[number]})
@@ -179,7 +179,7 @@ def _late(counted: dict) -> float:
 def _table(
     way: str, number: int, text: str, clients: list[str], contenders: list[Contender], samples: list, rounds: int
 ) -> Table:
-    """Return the table of the median (0) or the 99th percentile (1) for one mode of the bridge, with the peers."""
+    """Return the table of the median (0) or 99th percentile (1) for one bridge mode, with the peers."""
     chosen = [way, *PEERS, *(client for client in clients if client in (LIBEGM, ECHO))]
     bars = {**dict.fromkeys(PEERS, None if number else BARS[way]), LIBEGM: OF_LIBEGM[way], ECHO: None}
     named = [Contender(REPORTED[way], contenders[0].block, "armlab")]

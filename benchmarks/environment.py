@@ -16,7 +16,7 @@ REQUIREMENTS = ROOT / "benchmarks" / "requirements.txt"
 NO_DEPS = ROOT / "benchmarks" / "requirements_no_deps.txt"
 CONSTRAINTS = ROOT / "constraints.txt"
 
-# one thread, and the compiled kernels or an error, never the reference kernels by accident
+# one thread; compiled kernels or an error, but never silently the reference kernels
 SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -40,7 +40,7 @@ def prepare() -> None:
     if not PYTHON.exists():
         subprocess.run([sys.executable, "-m", "venv", str(HOME)], check=True)
     install = [str(PYTHON), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-    # a separate build directory, because the editable installation in .venv has another
+    # a separate build directory, because the editable installation in .venv uses another one
     subprocess.run(
         [*install, "-r", str(REQUIREMENTS), "-C", f"build-dir={HOME / 'build'}", str(ROOT)],
         check=True,

@@ -1,10 +1,10 @@
-"""Dask workers as computers of a cluster: identification with a lost, slow and stopped worker; jobs per second.
+"""Dask workers as computers of a cluster: identification with a lost, slow or stopped worker, and jobs per second.
 
     python benchmarks/fleet_dask.py identify    60 logs on 4 workers, and the same logs in this process
-    python benchmarks/fleet_dask.py jobs        jobs that only wait, on 4 to 1000 slots: limit of scheduler and caller
+    python benchmarks/fleet_dask.py jobs        jobs that only wait, on 4 to 1000 slots: limits of scheduler and caller
 
-Scheduler and workers are separate processes, started as in docs/how_to/many_logs.md, but without the parent that
-restarts a lost worker: a lost computer does not return.
+Scheduler and workers are separate processes, started as in docs/how_to/many_logs.md, but without a parent that restarts
+lost workers: a lost computer does not return.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from armlab.fleet.mapping import map_logs, workers
 
 LOGS, DISTINCT, SECONDS = 60, 10, 20.0
 MACHINES = 4
-SLOWDOWN = 10  # factor on the time of the slow worker
+SLOWDOWN = 10  # slowdown factor of the slow worker
 SILENCE = "10s"  # s after which the scheduler gives up on a silent worker; Dask's default is 5 minutes
 SLOTS = (4, 16, 64, 250, 1000)
-LASTS, THERE, BACK = 0.05, 100_000, 90_000  # s, bytes: the job of one log in docs/growth.md
+LASTS, THERE, BACK = 0.05, 100_000, 90_000  # s, bytes, bytes: job of one log in docs/growth.md
 
 
 @contextmanager
@@ -67,16 +67,16 @@ def cluster(machines: int, slots: int = 1) -> Iterator[tuple[str, Sequence[subpr
 
 
 def leave(_: subprocess.Popen[bytes]) -> None:
-    """Disturb no worker."""
+    """Leave all workers undisturbed."""
 
 
 def lose(worker: subprocess.Popen[bytes]) -> None:
-    """Kill a worker during its work."""
+    """Kill a worker during its job."""
     worker.kill()
 
 
 def slow(worker: subprocess.Popen[bytes]) -> None:
-    """Let a worker, including its heartbeats, run for a tenth of the time."""
+    """Let a worker, including its heartbeats, run only a tenth of the time."""
 
     def drag() -> None:
         while worker.poll() is None:
@@ -89,12 +89,12 @@ def slow(worker: subprocess.Popen[bytes]) -> None:
 
 
 def stop(worker: subprocess.Popen[bytes]) -> None:
-    """Stop a worker permanently: its connection stays open, but it does not answer."""
+    """Stop a worker permanently; its connection stays open, but it does not respond."""
     worker.send_signal(signal.SIGSTOP)
 
 
 def identify() -> None:
-    """Print times and differences of each case."""
+    """Print the times of each case, and whether its result is bit-identical."""
     robot = robots.load(ROBOT)
     with tempfile.TemporaryDirectory() as folder:
         made = [identified.log(robot, SECONDS, k) for k in range(DISTINCT)]
@@ -115,7 +115,7 @@ def _bits(found: fleet.Identified) -> bytes:
 
 
 def _identified(folder: Path, dask: str | None, spoil: Callable[[], None]) -> tuple[float, float, fleet.Identified]:
-    """Return times of the sums and in total, and the result; `spoil` a worker after a fifth of the logs."""
+    """Return the times of the sums and in total, and the result; call `spoil` after a fifth of the logs."""
     marks: dict[int, float] = {}
 
     def look(done: int, total: int, what: str) -> None:
@@ -132,7 +132,7 @@ def _identified(folder: Path, dask: str | None, spoil: Callable[[], None]) -> tu
 
 
 def jobs() -> None:
-    """Print jobs per second for growing numbers of slots, and the processor time of scheduler and caller."""
+    """Print jobs per second for increasing numbers of slots, and the processor time of scheduler and caller."""
     for slots in SLOTS:
         with cluster(MACHINES, slots // MACHINES) as (address, _), workers(dask=address) as executor:
             count = min(40 * slots, 4000)
@@ -144,7 +144,7 @@ def jobs() -> None:
             assert len(done.results) == count
             ideal = slots / LASTS
             print(
-                f"{slots} slots: {count / seconds:.0f} jobs/s of {ideal:.0f}; caller {1e3 * busy / count:.2f} ms a job",
+                f"{slots} slots: {count / seconds:.0f} jobs/s of {ideal:.0f}; caller {1e3 * busy / count:.2f} ms/job",
                 flush=True,
             )
 

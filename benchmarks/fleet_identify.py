@@ -1,4 +1,4 @@
-"""Identify from the logs in a folder in a separate process; prints times, memory and bytes as JSON.
+"""Identification from the logs in a folder in a separate process; prints times, memory and bytes as JSON.
 
 python benchmarks/fleet_identify.py FOLDER WORKERS
 """
@@ -53,7 +53,7 @@ def main(folder: Path, count: int) -> dict[str, Any]:
 
 
 def share(folder: Path) -> dict[str, float]:
-    """Return the processor time [s] to read one log and compute its sums, and the bytes to the worker and back."""
+    """Return the processor time [s] to read one log and to compute its sums, and the bytes to the worker and back."""
     robot, logs = robots.load(ROBOT), sorted(folder.iterdir())[:10]
     start = process_time()
     tables = [read_arm(log, robot) for log in logs]
@@ -80,7 +80,7 @@ def _loaded() -> None:
 
 
 def _peak(pid: int | str) -> int:
-    """Return the largest resident memory of a process so far [B]."""
+    """Return the peak resident memory of a process [B]."""
     told = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text(encoding="ascii"))
     return 1024 * int(told[1]) if told else 0
 

@@ -1,7 +1,7 @@
-"""Started by bench_fleet_robots: `fleet_publisher.py PORT FIRST COUNT` sends rows of robots at 250 Hz each.
+"""Publisher of robot rows at 250 Hz each, for bench_fleet_robots: `fleet_publisher.py PORT FIRST COUNT`.
 
-It stops when standard input is closed, and prints the number of rows of each robot. Rows of 400 bytes are sent as in a
-bridge.
+It stops when standard input is closed, and prints the number of rows per robot. It sends rows of 400 bytes as a bridge
+does.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def main() -> None:
     while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
         arms[number % count].send(number // count)
         number += 1
-        due += PERIOD / count  # one after the other, like independent robots
+        due += PERIOD / count  # staggered, like independent robots
     print(number // count, flush=True)
     for arm in arms:
         arm.output.close()

@@ -2,9 +2,9 @@
 
 One seed of the protocol has three parts. The excitation lasts 60 s, with 8 harmonics of 0.1 Hz, up to 60 % speed and 15
 rad/s^2; a model is identified from it. The test motion lasts 60 s, with 6 harmonics of 0.07 Hz from another seed, up to
-40 % speed; every 3 s, a push of 5 N in a random direction lasts 1 s, with ramps of 0.1 s. Finally, 500 g press in +x
-and -z at the home posture, while the arm sways by 2 degrees at 0.5 Hz, and again while it rests. The estimator receives
-only logs. With `gains`, every torque sensor has an unknown gain error, the same in all logs.
+40 % speed. Every 3 s, a 5 N push in a random direction lasts 1 s, with ramps of 0.1 s. Finally, 500 g press in +x and
+-z at the home posture, first while the arm sways by 2 degrees at 0.5 Hz, and then while it rests. The estimator
+receives only logs. With `gains`, every torque sensor has an unknown gain error, which is the same in all logs.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from armlab import contact, identify, log, models, robots, sim
 
 __all__ = ["Logs", "Score", "judge", "record"]
 
-PUSH, EVERY, RAMP = 5.0, 3.0, 0.1  # force [N], duration [s], ramp [s]
+PUSH, EVERY, RAMP = 5.0, 3.0, 0.1  # force [N], interval [s], ramp [s]
 WEIGHT = 4.905  # N, weight of 500 g
 Wrench = Callable[[np.ndarray], np.ndarray]  # times (N,) -> wrenches (N, 6)
 SEEN = 0.9  # observability above which an axis counts
 SPEEDS = (0.0, 0.05, 0.1, 0.2, 1.0)  # edges of speed bins, as shares of the speed limits
-EDGE = 0.2  # s after the beginning of a ramp that are excluded as edges
+EDGE = 0.2  # s after the start of a ramp that count as its edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class Logs:
 
     Attributes
     ----------
-    model : identified from the excitation. moving : test motion with pushes. edges : times of its ramps [s].
-    swaying, resting : for each press of 500 g, its axis and sign, and its log.
+    model : identified from the excitation. moving : test motion with pushes. edges : start times of its ramps [s].
+    swaying, resting : per press of 500 g, its axis and sign, and its log.
     """
 
     robot: robots.Robot
@@ -47,14 +47,14 @@ class Logs:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Errors of the estimate relative to the truth; arrays are per axis x, y, z.
+    """Errors of the estimate relative to the truth, per axis x, y, z.
 
     Attributes
     ----------
     rms : RMS error during pushes where the axis is observable [N].
     free : false force in motion below half speed without pushes [N].
-    inside : share of forces inside 2 sigma without edges. with_edges : the same for all rows.
-    by_speed : (4, 3) share of forces inside 2 sigma without edges, by speed of the fastest joint, see `SPEEDS`.
+    inside : share of forces within 2 sigma, without edges. with_edges : the same for all rows.
+    by_speed : (4, 3) share of forces within 2 sigma, without edges, by speed of the fastest joint, see `SPEEDS`.
     press : relative error of the mean over 2 s of each press of 500 g while swaying.
     rest_inside : share of rows at rest whose interval (or 2 sigma) contains the truth. stuck : share flagged STUCK.
     """
@@ -74,7 +74,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
 
     Parameters
     ----------
-    name : yumi_left or yumi_right. seed : of motions, pushes and noise.
+    name : yumi_left or yumi_right. seed : seed of motions, pushes and noise.
     gains : largest relative error of the unknown torque constants, which are uniformly distributed.
     """
     robot = robots.load(name)
@@ -87,7 +87,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
         arm = sim.SimulatedArm(robot, truth, seed=[seed, number], mismatch=mismatch)
         return sim.record(arm, motion, wrench)
 
-    excitation = identify.design_excitation(robot, centre=centre, seed=seed)  # the defaults are those of the protocol
+    excitation = identify.design_excitation(robot, centre=centre, seed=seed)  # the defaults match the protocol
     model = identify.fit_dynamics(run(excitation, 1), robot).value
     test = identify.design_excitation(robot, f0=0.07, harmonics=6, speed=0.4, centre=centre, seed=1000 + seed)
     pushes, edges = _pushes(test.seconds, np.random.default_rng([seed, 11]))
@@ -108,7 +108,7 @@ def judge(logs: Logs, method: str) -> Score:
 
     Parameters
     ----------
-    logs : of one seed. method : of `contact.Estimator`.
+    logs : logs of one seed. method : method of `contact.Estimator`.
     """
     estimator = contact.Estimator(logs.model, logs.robot, method=method)
     table = estimator.run(logs.moving)
@@ -164,7 +164,7 @@ def _errors(table: log.Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _near(t: np.ndarray, edges: np.ndarray, after: float) -> np.ndarray:
-    """Return the mask of times within `after` seconds of the beginning of a ramp (including its length)."""
+    """Return the mask of times within `after` seconds of the start of a ramp (including its length)."""
     lag = t[:, None] - edges
     return ((lag >= 0) & (lag < RAMP + after)).any(axis=1)
 
@@ -178,7 +178,7 @@ def _share(rows: np.ndarray) -> np.ndarray:
 
 
 def _rest_inside(table: log.Table) -> float:
-    """Return the share of rows at rest whose band contains the true force in all axes, excluding the first second."""
+    """Return the share of rows at rest whose interval contains the true force in all axes, after the first second."""
     table = table.between(1.0, table.t[-1])
     truth = table["wrench_true"][:, :3]
     if "wrench_interval" in table:

@@ -1,11 +1,11 @@
 """Errors of hand-eye calibration relative to the Cramér-Rao bound, by Monte Carlo simulation with known truth.
 
-Experiments of `sim.cell`: H1 uniform rotations, H2 tilts of at most 30 degrees, H3 outliers
-in the first poses, H4 additional robot noise, H5 three LEDs. Error ratios are the RMS error over runs divided by the
-RMS bound. NEES is e^T C^-1 e / dimension with the covariance stated by the fit.
+Experiments of `sim.cell`: H1 uniform rotations, H2 tilts of at most 30 degrees, H3 outliers in the first poses, H4
+additional robot noise, H5 three LEDs. Error ratios are the RMS error over runs divided by the RMS bound. NEES is e^T
+C^-1 e / dimension with the covariance reported by the fit.
 
     python benchmarks/hand_eye_bars.py 1000          seeds of the specification
-    python benchmarks/hand_eye_bars.py 1000 50000 other seeds, offset by 50000
+    python benchmarks/hand_eye_bars.py 1000 50000    other seeds, offset by 50000
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ TILT = np.radians(30.0)
 def poses(
     seed: int, run: int, N: int = 30, tilt: bool = False, bad: int = 0, robot: tuple[float, float] | None = None
 ) -> tuple[Poses, Poses]:
-    """Return H1 to H4, and the same without noise and outliers."""
+    """Return the data of H1 to H4, and the same without noise and outliers."""
     data = cell(seed).hand_eye(run, N, tilt=TILT if tilt else None, robot=robot, wrong=bad)
     return data, replace(data, A=data.A_exact, B=data.B_exact)
 
 
 def pose_error(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return [v; w] with T = (R Exp(w), t + v) of the truth."""
+    """Return the error [v; w] of T = (R Exp(w), t + v), with R and t the truth."""
     return np.concatenate([T[:3, 3] - truth[:3, 3], so3.log(truth[:3, :3].T @ T[:3, :3])])
 
 
@@ -50,7 +50,7 @@ class Bar:
 
     Attributes
     ----------
-    name : of the case. crb : bounds of X rotation [deg] and position [mm], and of Y. ratios : errors over them.
+    name : name of the case. crb : bounds of X rotation [deg] and position [mm], and of Y. ratios : errors over bounds.
     nees : NEES over its dimension. missed : unflagged gross outliers. false : share of good samples flagged.
     """
 
@@ -86,7 +86,7 @@ class Tally:
         self.good += int(np.sum(~bad))
 
     def bar(self) -> Bar:
-        """Return the ratios."""
+        """Return the result over all runs."""
         e, variance = np.array(self.e) ** 2, np.array(self.variance)
         order = [slice(3, 6), slice(0, 3), slice(9, 12), slice(6, 9)]
         bound = np.sqrt([(variance + 0.0 * e)[:, part].sum(axis=1).mean() for part in order])
@@ -96,7 +96,7 @@ class Tally:
 
 
 def pose_case(name: str, seed: int, runs: int, given: bool = True, **how: Any) -> Bar:
-    """Return H1 to H4: noise given or estimated, robust if there are outliers."""
+    """Return the result of H1 to H4: noise given or estimated, robust if there are outliers."""
     tally, bad, robot = Tally(name), how.get("bad", 0), how.get("robot")
     for run in range(runs):
         data, clean = poses(seed, run, **how)
@@ -130,7 +130,7 @@ def led_case(
     known: bool = True,
     robot: tuple[float, float] | None = None,
 ) -> Bar:
-    """Return H5: three LEDs, 100 samples; NaN for X if the marker is unknown."""
+    """Return the result of H5: three LEDs, 100 samples; NaN for X if the marker is unknown."""
     tally = Tally(name)
     for run in range(runs):
         data = cell(seed).marker_points(run, sigma=sigma, missing=0.2 if missing else 0.0, robot=robot)
@@ -151,7 +151,7 @@ def led_case(
 
 
 def bars(runs: int, shift: int = 0) -> list[Bar]:
-    """Return every case of the specification.
+    """Return the results of all cases of the specification.
 
     Parameters
     ----------

@@ -1,12 +1,12 @@
 """Accuracy of contact forces on a heavy arm with unmodelled faults: load-dependent gear friction and wrong gains.
 
-One seed: an arm with the size and masses of a UR10e at 125 Hz. Torques are currents times assumed torque constants that
-are wrong by up to 15 % each. Up to 6 % of the torque is lost in the gears, offsets vary by 0.5 % of the torque limit,
-and undocumented ripple has 200 lines per revolution. A model is identified from 60 s without load. The same arm then
-carries 0, 1 and 3 kg through another motion. The truth is the weight and inertial force of the load at the flange.
+Each seed simulates an arm with the size and masses of a UR10e at 125 Hz. Torques are currents times assumed torque
+constants, each of which is wrong by up to 15 %. Gears lose up to 6 % of the torque, offsets vary by 0.5 % of the torque
+limit, and unmodelled ripple has 200 lines per revolution. A model is identified from 60 s without load. The same arm
+then carries 0, 1 and 3 kg through another motion. The truth is the weight and inertial force of the load at the flange.
 
 python benchmarks/heavy_arm.py                20 seeds, about a minute each
-python benchmarks/heavy_arm.py --seeds 3 a quick look
+python benchmarks/heavy_arm.py --seeds 3      quick look
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ PERIOD = 0.008  # s
 GAINS, LOAD_FRICTION, DRIFT = 0.15, 0.06, 0.005
 LOADS = (0.0, 1.0, 3.0)  # kg
 METHODS = ("map", "observer", "kf")
-READY = 1.0  # s, in which an estimator forgets its initial state
+READY = 1.0  # s in which an estimator forgets its initial state
 MASSES = (7.369, 13.051, 3.989, 2.1, 1.98, 0.615)
 TAU_MAX = np.array([330.0, 330.0, 150.0, 56.0, 56.0, 56.0])
-ROTOR = np.array([3.0, 3.0, 1.5, 0.3, 0.3, 0.3])  # assumed
+ROTOR = np.array([3.0, 3.0, 1.5, 0.3, 0.3, 0.3])  # assumed rotor inertias
 HOME = np.deg2rad([0.0, -90.0, 90.0, -90.0, -90.0, 0.0])
 
 
@@ -42,7 +42,7 @@ class Logs:
 
     Attributes
     ----------
-    fit : of the excitation without load. loaded : log of the other motion with a load, by its mass [kg].
+    fit : fit to the excitation without load. loaded : log of the other motion by the mass of the load [kg].
     of_load : (n,) true load friction. gains : (n,) ratio of measured to true torque.
     """
 
@@ -54,7 +54,7 @@ class Logs:
 
 
 def ur10e() -> robots.Robot:
-    """Return the arm from the vendor's table of Denavit-Hartenberg parameters, which does not include gears."""
+    """Return the arm from the vendor's Denavit-Hartenberg table, which does not include gears."""
     return robots.from_dh(
         "ur10e",
         alpha=np.pi / 2 * np.array([1, 0, 0, 1, -1, 0]),
@@ -69,7 +69,7 @@ def ur10e() -> robots.Robot:
 
 
 def truth_of(robot: robots.Robot) -> sim.Truth:
-    """Return the arm's synthetic truth: solid cylinders of the vendor's masses, friction by the rule of `sim`."""
+    """Return a synthetic truth: solid cylinders with the vendor's masses, and friction by the rule of `sim`."""
     coulomb, n = 0.05 * TAU_MAX, robot.n
     zero, p = np.zeros(n), robot.links[1:, :3, 3]
     return sim.Truth(
@@ -99,11 +99,11 @@ def record(seed: int) -> Logs:
 
     Parameters
     ----------
-    seed : of motions, noise and faults.
+    seed : seed of motions, noise and faults.
     """
     robot = ur10e()
     faults = sim.Mismatch(torque_constant=GAINS, load_friction=LOAD_FRICTION, offset_drift=DRIFT, seed=seed)
-    arm = sim.SimulatedArm(robot, truth_of(robot), period=PERIOD, seed=seed, mismatch=faults)  # its drift continues
+    arm = sim.SimulatedArm(robot, truth_of(robot), period=PERIOD, seed=seed, mismatch=faults)  # drift continues
     free = sim.record(arm, identify.design_excitation(robot, acceleration=4.0, seed=seed))
     test = identify.design_excitation(robot, f0=0.07, harmonics=6, speed=0.4, acceleration=4.0, seed=1000 + seed)
     loaded = {mass: sim.record(arm, test, lambda t, m=mass: carried(robot, test, m, t)) for mass in LOADS}
@@ -124,7 +124,8 @@ def judge(logs: Logs, method: str, mass: float, model: models.TorqueModel | None
 
     Parameters
     ----------
-    logs : of one seed. method : of `contact.Estimator`. mass : of the load [kg]. model : default: identified.
+    logs : logs of one seed. method : method of `contact.Estimator`. mass : mass of the load [kg].
+    model : default: identified.
     """
     estimator = contact.Estimator(logs.fit.value if model is None else model, logs.robot, method=method)
     table = estimator.run(logs.loaded[mass])
@@ -141,14 +142,14 @@ def without_load_friction(logs: Logs) -> models.TorqueModel:
 
 
 def without_doubt(logs: Logs) -> models.TorqueModel:
-    """Return the model with exactly known gains and load friction."""
+    """Return the model with exact gains and load friction."""
     model = logs.fit.value
     return replace(model, gain_cov=0.0 * model.gain_cov, load_sd=np.zeros(model.n))
 
 
 def main() -> int:
     """Run all seeds and print the table."""
-    parser = argparse.ArgumentParser(description="Accuracy of forces on a heavy arm.")
+    parser = argparse.ArgumentParser(description="Accuracy of contact forces on a heavy arm.")
     parser.add_argument("--seeds", type=int, default=20)
     options = parser.parse_args()
     scores: dict[tuple[str, float], list[tuple[np.ndarray, ...]]] = {}

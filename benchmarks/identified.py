@@ -12,12 +12,12 @@ from armlab.models.friction import Friction
 from armlab.robots import Robot
 
 PERIOD = 0.004
-SUBSTEPS = 4  # friction runs finer than the log
+SUBSTEPS = 4  # friction steps per sample of the log
 WRENCH = np.array([3.0, -2.0, 4.0, 0.1, 0.2, -0.1])
 
 
 def log(robot: Robot, seconds: float, seed: int, wrench: np.ndarray | None = None) -> Table:
-    """Return a log of an excitation at 250 Hz with friction and noise, under a constant wrench on the tool."""
+    """Return a 250 Hz log of an excitation with friction and noise, under a constant wrench on the tool."""
     truth = sim.synthetic_truth(robot)
     fine = np.arange(0, seconds, PERIOD / SUBSTEPS)
     q, qd, qdd = identify.design_excitation(robot, seconds=seconds, seed=seed).sample(fine)
@@ -48,10 +48,10 @@ def model(robot: Robot, seconds: float) -> TorqueModel:
 
 
 def with_masses(robot: Robot, links: np.ndarray) -> np.ndarray:
-    """Return (n, 10) parameters with the same torques as `links`, as close as possible to real masses.
+    """Return (n, 10) parameters with the same torques as `links`, but with masses as realistic as possible.
 
-    The identified vector has minimum norm and contains links without mass, which peers cannot handle. Directions that
-    no motion excites (the null space of the regressor) are free and are taken from the truth.
+    The identified vector has minimum norm and contains massless links, which peers cannot handle. Directions that no
+    motion excites (the null space of the regressor) are free and are taken from the truth.
     """
     rng = np.random.default_rng(3)
     q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 200, robot.n))

@@ -1,12 +1,12 @@
 """Errors of kinematic calibration relative to the Cramér-Rao bound, by Monte Carlo simulation with known truth.
 
 Experiments of `sim.cell`: an IRB 2400 with errors in every frame (or in every number of its table). The error is
-evaluated at validation poses not used in the fit, relative to the noise-free truth. Its bound ``J_v (J^T S^-1 J)^+
-J_v^T`` is evaluated at the truth. NEES is e^T C^-1 e / rank, with C the covariance that the fit states for some of
+evaluated at validation poses that are not part of the fit, relative to the noise-free truth. Its bound ``J_v (J^T S^-1
+J)^+ J_v^T`` is evaluated at the truth. NEES is e^T C^-1 e / rank, with C the covariance reported by the fit for some of
 these poses (at least twice as many rows as the rank).
 
     python benchmarks/kinematics_bars.py 1000        seeds 2000, 2200, 2300, 2400
-    python benchmarks/kinematics_bars.py 1000 70 the same, offset by 70
+    python benchmarks/kinematics_bars.py 1000 70     the same, offset by 70
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One run: squared errors and variances by block, rank, NEES, flags, and the number of wrong first samples."""
+    """One run: squared errors and variances by block, rank, NEES, flags, and the number of wrong initial samples."""
 
     squares: np.ndarray
     bounds: np.ndarray
@@ -104,7 +104,7 @@ def _bar(name: str, samples: list[Sample], units: tuple[str, ...]) -> Bar:
 
 
 def truth_value(truth: Any) -> KinematicCorrection:
-    """Return the truth of an arm as a correction, whose Jacobians give the bound."""
+    """Return the true arm as a correction, whose Jacobians give the bound."""
     orders = tuple(range(1, truth.amplitudes.shape[1] // 2 + 1))
     robot = from_local_poe("truth", truth.frames, truth.screws)
     cov = np.eye(6 * len(truth.frames) + truth.amplitudes.size)
@@ -112,7 +112,7 @@ def truth_value(truth: Any) -> KinematicCorrection:
 
 
 def measured(run: Any, position: bool) -> dict[str, Any]:
-    """Return poses or their positions with their noise."""
+    """Return poses or their positions, with the noise."""
     if position:
         return {"position": run.pose[:, :3, 3], "noise": run.noise[0]}
     return {"pose": run.pose, "noise": run.noise}
@@ -179,7 +179,7 @@ def dual_sample(run: Any, position: bool = False, bad: int = 0) -> Sample:
 
 
 def dual_truth(run: Any) -> DualArmCorrection:
-    """Return the truth of two arms as a correction."""
+    """Return the true pair of arms as a correction."""
     arms = [truth_value(truth) for truth in (run.truth_a, run.truth_b)]
     return DualArmCorrection(arms[0], arms[1], run.T_basea_baseb, np.eye(90))
 
@@ -201,7 +201,7 @@ def _sample(
 
 
 def information(J: np.ndarray, rank: int) -> np.ndarray:
-    """Return the pseudoinverse of J^T J at a rank."""
+    """Return the pseudoinverse of J^T J for a given rank."""
     _, s, V = np.linalg.svd(np.linalg.qr(J, mode="r"))
     root = V[:rank].T / s[:rank]
     return root @ root.T
@@ -222,7 +222,7 @@ def _variances(J: np.ndarray, P: np.ndarray) -> np.ndarray:
 
 
 def _blocks(squares: np.ndarray) -> list[float]:
-    """Return mean squares of position and rotation from (N, 6)."""
+    """Return the mean squares of position and rotation errors (N, 6)."""
     return [float(np.mean(np.sum(squares[:, part], axis=1))) for part in (slice(3), slice(3, 6))]
 
 

@@ -1,7 +1,7 @@
 """Statistical contract of `fit_kinematics` and `fit_dual_arm`: ten properties with their measured values.
 
-Errors are those of validation poses, with at least twice as many rows as the rank. Their stated covariance is from the
-fit, and their bound from the truth. The narrow limits apply from 1000 runs on.
+Errors are evaluated at validation poses, with at least twice as many rows as the rank. The fit gives their covariance,
+and the truth gives their bound. The narrow limits apply from 1000 runs on.
 
     python benchmarks/kinematics_contract.py 2000
 """
@@ -22,13 +22,13 @@ from armlab.lie import se3, so3
 from armlab.sim import cell
 
 FRAME = se3.from_rp(so3.exp([0.4, -1.0, 2.0]), [1.0, 2.0, -3.0])
-JOINT = 3  # joint that does not move where a fit must raise an error
+JOINT = 3  # joint at rest in the case where a fit must raise an error
 FEW = 20
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Joint positions of validation poses (of both arms if there are two) and the true poses."""
+    """Joint positions of validation poses (of both arms if there are two), and the true poses."""
 
     q: tuple[np.ndarray, ...]
     T: np.ndarray
@@ -135,7 +135,7 @@ def _moved(seen: np.ndarray, kind: str) -> np.ndarray:
 
 
 def _turned(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the same data with both nominal arms on different bases, which does not change the measurements."""
+    """Return the same data with both nominal arms on different bases, which does not affect the measurements."""
     feet = [se3.project(FRAME @ data[name].T_base_mount)[0] for name in ("robot_a", "robot_b")]
     return {
         **data,

@@ -18,9 +18,9 @@ PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "rosbags")
 
 
 def describe(packages: Sequence[str] = ()) -> list[str]:
-    """Return the line of the machine, the versions, and the commit.
+    """Return sentences on the machine, the versions and the commit.
 
-    `packages` : names of packages whose versions are listed; default: armlab, its dependencies and its peers.
+    `packages` : names of packages to list with their versions; default: armlab, its dependencies and its peers.
     """
     peers = [line.split("==")[0] for file in sorted(Path(__file__).parent.glob("requirements*.txt"))
              for line in file.read_text(encoding="utf-8").splitlines() if "==" in line]  # fmt: skip
@@ -29,14 +29,14 @@ def describe(packages: Sequence[str] = ()) -> list[str]:
         f"{_cpu()}, {os.cpu_count()} cores, {_memory():.0f} GiB, {platform.system()} {platform.release()}, "
         f"Python {platform.python_version()}.",
         f"{versions}.",
-        f"Commit {_commit()}. One thread everywhere.",
+        f"Commit {_commit()}. All contenders use one thread.",
     ]
 
 
 def writer(size: int, fresh: bool) -> Callable[[], None]:
     """Return a function that writes `size` bytes once as fast as the machine allows.
 
-    `fresh` selects newly allocated memory, whose pages the kernel must first provide; otherwise memory is reused.
+    `fresh` selects newly allocated memory, for which the kernel must first provide pages; otherwise memory is reused.
     """
     if fresh:
         return lambda: np.empty(size // 8).fill(1.0)
@@ -49,9 +49,9 @@ def writer(size: int, fresh: bool) -> Callable[[], None]:
 
 
 def arithmetic(n: int = 512) -> Callable[[], float]:
-    """Return a function that measures the minimum time [s] of one addition or multiplication on one core.
+    """Return a function that measures the shortest time [s] of one addition or multiplication on one core.
 
-    It uses a product of n × n matrices in cache, because no numeric operation of a program is faster.
+    It uses a product of n × n matrices in cache, because no other numeric operation is faster.
     """
     a = np.ones((n, n))
     out = np.empty_like(a)
@@ -65,7 +65,7 @@ def arithmetic(n: int = 512) -> Callable[[], float]:
 
 
 def family(pid: int) -> Iterator[int]:
-    """Yield a process and all processes that it and its children started."""
+    """Yield a process and all its descendants."""
     yield pid
     with contextlib.suppress(OSError):
         for task in Path(f"/proc/{pid}/task").iterdir():
@@ -74,7 +74,7 @@ def family(pid: int) -> Iterator[int]:
 
 
 class OtherLoad:
-    """Cores used by other processes and the hypervisor while the block ran: ``with OtherLoad() as load: ...``."""
+    """Cores used by other processes and the hypervisor during a block: ``with OtherLoad() as load: ...``."""
 
     def __enter__(self) -> OtherLoad:
         self._start = _clocks()
@@ -86,7 +86,7 @@ class OtherLoad:
 
 
 def _clocks() -> tuple[float, float, float]:
-    """Return the busy time [s] of all cores since boot, of this process and its children, and the wall-clock time."""
+    """Return the busy time [s] of all cores since boot, of this process with its children, and the wall-clock time."""
     ticks = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
     user, nice, system, _idle, _iowait, irq, softirq, steal = ticks
     own = os.times()
@@ -97,7 +97,7 @@ def _clocks() -> tuple[float, float, float]:
 def _is_here(package: str) -> bool:
     try:
         return bool(version(package))
-    except PackageNotFoundError:  # a heavy process
+    except PackageNotFoundError:  # an optional, heavy package
         return False
 
 

@@ -16,19 +16,18 @@ from time import perf_counter
 from machine import OtherLoad, family
 from report import Section
 
-LIMIT = 900.0  # s for one attempt; the longest takes three minutes
-GRACE = 30.0  # s to terminate the processes it started
+LIMIT = 900.0  # s, limit of one attempt; the slowest benchmark takes three minutes
+GRACE = 30.0  # s, to terminate the processes that it started
 
 
 class TooLong(BaseException):
-    """Attempt that took too long; an `except Exception` in a benchmark or in the measured code cannot catch it."""
+    """Attempt that took too long; `except Exception` in a benchmark or in the measured code cannot catch it."""
 
 
 def measure(name: str, quick: bool) -> Section:
-    """Run the benchmark ``bench_NAME.py``, and repeat it once if it fails, because of possible momentary load.
+    """Run the benchmark ``bench_NAME.py``, and repeat it once if it fails, because the load may be temporary.
 
-    An attempt that hangs fails after a quarter of an hour. Returns its tables, or no tables and the reason if it fails
-    twice.
+    An attempt that takes more than `LIMIT` fails. If both attempts fail, returns the reason without tables.
     """
     start = perf_counter()
     section = _tried(name, quick)
@@ -43,7 +42,7 @@ def _tried(name: str, quick: bool) -> Section:
     future = pool.submit(_run, name, quick, LIMIT)
     try:
         return future.result(LIMIT + GRACE)
-    except (Exception, TooLong) as error:  # the others are kept
+    except (Exception, TooLong) as error:  # keep the results of other benchmarks
         traceback.print_exc()
         said = str(error) if future.done() else f"took more than {LIMIT:g} s"
         return Section(name, [], 0.0, failure=f"{type(error).__name__}: {said}")
@@ -51,12 +50,12 @@ def _tried(name: str, quick: bool) -> Section:
         pool.shutdown(wait=False)
         for worker in active_children():
             worker.join(GRACE)
-            if worker.is_alive():  # it waits where no signal reaches it
+            if worker.is_alive():  # blocked where no signal reaches it
                 _kill(worker.pid)
 
 
 def _kill(pid: int | None) -> None:
-    """Kill a worker and all processes that it started."""
+    """Kill a worker and all its descendants."""
     for one in list(family(pid)) if pid else []:
         with contextlib.suppress(ProcessLookupError):
             os.kill(one, signal.SIGKILL)
@@ -66,7 +65,7 @@ def _run(name: str, quick: bool, limit: float) -> Section:
     def too_long(*_: object) -> None:
         raise TooLong(f"took more than {limit:g} s")
 
-    signal.signal(signal.SIGALRM, too_long)  # an exception, so that its processes are terminated on the way out
+    signal.signal(signal.SIGALRM, too_long)  # raises, so context managers terminate its processes
     signal.setitimer(signal.ITIMER_REAL, limit)
     module = import_module(f"bench_{name}")
     with OtherLoad() as load:

@@ -20,7 +20,7 @@ RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))
 
 
 class Node(cyclone.Node):
-    """Reads two topics."""
+    """Node that reads two topics."""
 
     def __init__(self, domain: int, count: int) -> None:
         self.found = Lines(count)
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def write(domain: int) -> None:
-    """Send a new message of each kind every period."""
+    """Send a new message of each kind in every period."""
     node = DomainParticipant(domain)
     joints = DataWriter(node, Topic(node, f"rt/{ROBOT}/joint_states", cyclone.JointState), RELIABLE)
     wrenches = DataWriter(node, Topic(node, f"rt/{ROBOT}/wrench", cyclone.WrenchStamped), RELIABLE)

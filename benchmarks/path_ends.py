@@ -1,10 +1,10 @@
-"""Both ends of a path for the programs `path_*.py`: storage of a reader, and pacing of a bare publisher.
+"""Both ends of a path for the programs `path_*.py`: message storage of a reader, and pacing of a bare publisher.
 
 It uses only the standard library, because ROS 1 nodes run under the system's Python. A reader receives a number of
 joint states and then prints a line for each message: "J" for joint states or "W" for wrenches, the stamp in the
-message, and the time of receipt [ns, wall clock]. With the number 0, it reads until it is ended, stores nothing, and
-prints a line every second: time [ns], number of messages, and the median and longest time from stamp to receipt [ns]. A
-publisher prints "ready" and, at the end, the stamps that it sent.
+message, and the time of receipt [ns, wall clock]. With the number 0, it reads until it is terminated, stores nothing,
+and prints a line every second: time [ns], number of messages, and the median and longest time from stamp to receipt
+[ns]. A publisher prints "ready" and, at the end, the stamps that it sent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PERIOD = 0.004  # s
 ROBOT = "yumi_left"
 PATIENCE = 150.0  # s
 JOINTS = 7
-SUMMED = 1_000_000_000  # ns, period of the lines of a reader that reads until it is terminated
+SUMMED = 1_000_000_000  # ns, print period of a reader that reads until terminated
 
 
 class Lines:
@@ -30,12 +30,12 @@ class Lines:
 
     def __init__(self, count):
         self._found, self._count, self._left = [], count, count
-        self._lock = threading.Lock()  # rospy calls back in a thread for each topic
+        self._lock = threading.Lock()  # rospy uses one callback thread per topic
         self.over = threading.Event()
         signal.signal(signal.SIGTERM, lambda *_: self.over.set())
 
     def add(self, kind, stamp_ns):
-        """Store a message; called first in a callback."""
+        """Store a message; called at the start of a callback."""
         came = time.time_ns()
         with self._lock:
             self._found.append((kind, stamp_ns, came))
@@ -78,7 +78,7 @@ def say(word):
 
 
 def paced(send):
-    """Call a function with the time [ns] every period until standard input is closed; then print all the times."""
+    """Call a function with the time [ns] in every period until standard input is closed; then print all the times."""
     say("ready")
     stamps, due = [], time.monotonic()
     while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:

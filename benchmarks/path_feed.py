@@ -1,4 +1,4 @@
-"""Readers of whole rows with armlab's own clients: `path_feed.py zenoh|local|labcomm WHERE COUNT`."""
+"""Readers of complete rows with armlab's own clients: `path_feed.py zenoh|local|labcomm WHERE COUNT`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def _labcomm(port: int, lines: Lines) -> None:
-    """Receive fused rows, whose stamps are whole microseconds."""
+    """Receive fused rows, whose stamps are in whole microseconds."""
     with LabCommClient(port=port) as client:
         while not lines.over.is_set():
             for event in client.events(1.0):

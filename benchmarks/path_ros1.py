@@ -28,7 +28,7 @@ def read(count):
 
 
 def write():
-    """Send a new message of each kind every period."""
+    """Send a new message of each kind in every period."""
     joints, wrenches = (
         rospy.Publisher(topic, type_, queue_size=500, tcp_nodelay=True) for topic, type_ in TOPICS.values()
     )
@@ -54,7 +54,7 @@ def main():
     else:
         write()
     sys.stdout.flush()
-    os._exit(0)  # it would wait for its threads
+    os._exit(0)  # a normal exit would wait for the threads
 
 
 if __name__ == "__main__":

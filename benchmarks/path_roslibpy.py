@@ -1,4 +1,4 @@
-"""`path_roslibpy.py PORT COUNT`: reads as users of roslibpy do."""
+"""Reader that uses roslibpy as its users do: `path_roslibpy.py PORT COUNT`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main() -> None:
     for topic, (kind, type_) in TOPICS.items():
         roslibpy.Topic(ros, topic, type_).subscribe(partial(take, kind))
     lines.wait()
-    os._exit(0)  # its reactor takes seconds to end
+    os._exit(0)  # the reactor takes seconds to stop
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ from machine import family
 
 from armlab.errors import ArmlabError
 
-SETTLED = 2.0  # s after the first message that are not counted
+SETTLED = 2.0  # s excluded after the first message
 PATIENCE = 60.0  # s
-LAST = 0.1  # s before the last joint state that are not counted: its wrench may still be in transit
-NEAR = 1000  # ns, because some stamps are in microseconds, or in seconds as float
+LAST = 0.1  # s excluded before the last joint state, whose wrench may still be in transit
+NEAR = 1000  # ns, tolerance for stamps in microseconds, or in seconds as float
 
 
 class Received(NamedTuple):
@@ -69,7 +69,7 @@ class Reader:
     def received(self, sent: np.ndarray, kinds: str = "JW") -> Received:
         """Return the received messages of these kinds with these stamps once the reader has ended.
 
-        All kinds count from `SETTLED` after the first joint state until shortly before the last.
+        All kinds are counted from `SETTLED` after the first joint state until shortly before the last.
         """
         self._out.seek(0)
         lines = self._out.read().decode().splitlines()
@@ -90,7 +90,7 @@ class Reader:
 
 
 class Writer:
-    """Context manager for a bare publisher that is ready."""
+    """Context manager for a bare publisher that is ready to send."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - as above
@@ -114,7 +114,7 @@ class Writer:
         self._out.close()
 
     def end(self) -> np.ndarray:
-        """End the program, and return the stamps that it sent."""
+        """Stop the program, and return the stamps that it sent."""
         self.process.communicate(timeout=PATIENCE)
         self._out.seek(0)
         return np.array(self._out.read().split(), dtype=np.int64)
@@ -137,7 +137,7 @@ def _wait_for(word: str, process: subprocess.Popen[bytes], command: Sequence[str
             part = os.read(pipe.fileno(), 4096)
         if not part:
             words = " ".join(said.decode(errors="replace").split()[-40:])
-            raise ArmlabError(f"Expected {' '.join(command)[:200]} to print {word!r}, but it did not. It said: {words}")
+            raise ArmlabError(f"Expected {' '.join(command)[:200]} to print {word!r}, but it did not. Output: {words}")
         said += part
 
 
@@ -152,7 +152,7 @@ def processor_time(process: int) -> float:
 
 
 def usage(process: int, reader: Reader, most: float) -> float:
-    """Return the processor time per second of a process from `SETTLED` after a reader's first message until it ends."""
+    """Return a process's processor time per second, from `SETTLED` after a reader's first message until its end."""
     reader.begun()
     time.sleep(SETTLED)
     before, began = processor_time(process), time.monotonic()

@@ -1,6 +1,6 @@
-"""Zenoh alone: `path_zenoh.py read PORT COUNT KEYS` or `path_zenoh.py write PORT KEYS`; a key as in `Key`.
+"""Zenoh alone: `path_zenoh.py read PORT COUNT KEYS` or `path_zenoh.py write PORT KEYS`; see `Key` for the keys.
 
-The writer is a router and sends prepared bytes, changing only their stamps; the reader is a peer, like a node.
+The writer is a router and sends prepared bytes in which only the stamps change; the reader is a peer, like a node.
 """
 
 from __future__ import annotations

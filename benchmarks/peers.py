@@ -1,4 +1,4 @@
-"""The same arm in each peer's representation, called through its fastest public interface."""
+"""One arm in each peer's representation, called through the fastest public interface of the peer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Pinocchio:
 
     Parameters
     ----------
-    links : (n, 10) link parameters; Pinocchio's order of dynamic parameters is armlab's. None: massless.
+    links : (n, 10) link parameters, in the same order in Pinocchio and armlab; None: massless.
     """
 
     def __init__(self, robot: Robot, links: np.ndarray | None = None) -> None:
@@ -36,7 +36,7 @@ class Pinocchio:
         self.data = self.model.createData()
 
     def forward(self, q: np.ndarray) -> np.ndarray:
-        """Return T_base_tool in the fastest of four tested ways."""
+        """Return T_base_tool in the fastest of four ways that were tested."""
         pin.forwardKinematics(self.model, self.data, q)
         return pin.updateFramePlacement(self.model, self.data, self.tool).homogeneous
 
@@ -46,14 +46,14 @@ class Pinocchio:
         return pin.updateFramePlacement(self.model, self.data, self.tool).homogeneous, J
 
     def forward_batch(self, q: np.ndarray) -> np.ndarray:
-        """Return (N, 4, 4) by a loop, because Pinocchio's Python interface has no batch functions."""
+        """Return (N, 4, 4) from a loop, because Pinocchio's Python interface has no batch functions."""
         T = np.empty((len(q), 4, 4))
         for row, into in zip(q, T):
             into[...] = self.forward(row)
         return T
 
     def forward_jacobian_batch(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (N, 4, 4) and (N, 6, n) by a loop."""
+        """Return (N, 4, 4) and (N, 6, n) from a loop."""
         T, J = np.empty((len(q), 4, 4)), np.empty((len(q), 6, q.shape[1]))
         for row, into_T, into_J in zip(q, T, J):
             into_T[...], into_J[...] = self.forward_jacobian(row)
@@ -70,10 +70,10 @@ def elementary_transforms(robot: Robot) -> rtb.ETS:
 
 
 def closed_loop_inverse(robot: Robot, tolerance: float, starts: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return inverse kinematics as Pinocchio users write it: a Python loop around its Jacobian.
+    """Return inverse kinematics as Pinocchio users write it: a Python loop around the Jacobian.
 
     It follows Pinocchio's example (log6 of the relative pose as the error, with its derivative Jlog6), but uses full
-    Newton steps damped by the squared error, postures clipped to the limits, and a new random start after 30 steps.
+    Newton steps damped by the squared error, clips postures to the limits, and restarts randomly after 30 steps.
     """
     peer, rng = Pinocchio(robot), np.random.default_rng(0)
     model, data, tool = peer.model, peer.data, peer.tool
@@ -98,12 +98,9 @@ def closed_loop_inverse(robot: Robot, tolerance: float, starts: int) -> Callable
 
 
 class PlainNumpy:
-    """Straightforward NumPy kinematics: stacks of 4×4 matrices multiplied with ``@`` in blocks that fit into the cache.
+    """Straightforward NumPy kinematics of revolute joints: stacks of 4×4 matrices, multiplied in cache-sized blocks."""
 
-    For revolute joints.
-    """
-
-    BLOCK = 3000  # fastest of the tried sizes from 100 to 10000
+    BLOCK = 3000  # fastest of the tested sizes from 100 to 10000
 
     def __init__(self, robot: Robot) -> None:
         self.n = robot.n
@@ -150,7 +147,7 @@ class FastNumpy:
     constant pose is one matrix product, (4, 4) by (4, 3 B). For revolute joints.
     """
 
-    BLOCK = 6000  # fastest of the tried sizes from 500 to 16000
+    BLOCK = 6000  # fastest of the tested sizes from 500 to 16000
 
     def __init__(self, robot: Robot) -> None:
         self.n = robot.n

@@ -21,7 +21,7 @@ ROW = 0.2  # inches
 
 
 class Dot(NamedTuple):
-    """Dot of one figure: its name, value with quartiles, and whether it meets its target."""
+    """Dot of one figure: name, value with quartiles, and whether it meets its target."""
 
     name: str
     value: float
@@ -31,11 +31,11 @@ class Dot(NamedTuple):
 
 
 def draw(head: str, sections: Sequence[Section], path: Path) -> bool:
-    """Write the picture; return whether there was anything to draw.
+    """Write the picture; return whether there are any figures to draw.
 
     Parameters
     ----------
-    head : date, machine. sections : what was measured. path : PNG file.
+    head : date and machine. sections : results. path : PNG file.
     """
     panels = {
         "armlab's time / the peer's time, one dot per contender": _rows(sections, _over_peer),
@@ -92,7 +92,7 @@ def _over_peer(one: Figure) -> Dot | None:
 
 
 def _over_bar(one: Figure) -> Dot | None:
-    if not one.bar or one.role == "limit":  # there is no multiple of zero missing messages
+    if not one.bar or one.role == "limit":  # zero missing messages have no ratio
         return None
     scale = one.multiple / one.median if one.over else 1.0
     values = (scale * one.median, scale * one.lower, scale * one.upper)

@@ -1,4 +1,4 @@
-"""The estimator's step built from Pinocchio's rnea and Jacobian, with the rest in fast NumPy and LAPACK code."""
+"""Estimator step built from Pinocchio's rnea and Jacobian; the rest is fast NumPy and LAPACK code."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ REST_TIME = 0.5
 
 
 class PinocchioEstimator:
-    """Static MAP wrench with presliding friction: the formulas of `armlab.contact.estimator`.
+    """Static MAP wrench with presliding friction, by the formulas of `armlab.contact.estimator`.
 
     Parameters
     ----------
-    links : (n, 10) link parameters with masses, same torques as the model's. prior : (6,) variances.
+    links : (n, 10) link parameters with masses, which give the same torques as the model. prior : (6,) variances.
     """
 
     def __init__(self, model: TorqueModel, robot: Robot, links: np.ndarray, prior: np.ndarray) -> None:
@@ -65,7 +65,7 @@ class PinocchioEstimator:
         return *self._posterior(J, error, variance), error, variance
 
     def _load(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Return the part of the motor torque that is transmitted to the links."""
+        """Return the part of the motor torque transmitted to the links."""
         f, z = self._f, self._z
         if self._smooth is not None:
             z = np.where(f.smooth_speed > 0, np.tanh(qd * self._smooth), z)

@@ -21,7 +21,8 @@ GAIN, LONGEST = 30.0, 20.0
 class PinocchioMomentum(PinocchioEstimator):
     """Formulas of `armlab.contact.estimator`, methods "observer" and "kf", for steps without gaps.
 
-    `filters` selects the Kalman filter, else the observer. The other parameters are those of `PinocchioEstimator`.
+    `filters` selects the Kalman filter instead of the observer. The other parameters are those of
+    `PinocchioEstimator`.
     """
 
     def __init__(self, model: TorqueModel, robot: Robot, links: np.ndarray, prior: np.ndarray, filters: bool) -> None:
@@ -116,7 +117,7 @@ class PinocchioMomentum(PinocchioEstimator):
 
     def _predict(self, G: np.ndarray, known: np.ndarray, h: float, Qp: np.ndarray) -> None:
         n, P = len(Qp), self._P
-        if self._of_step is None or self._of_step[0] != h:  # the integrals of a step, computed once per step length
+        if self._of_step is None or self._of_step[0] != h:  # integrals over a step, computed once per step length
             a = self._leak
             decay, phi, twice = np.exp(-a * h), -np.expm1(-a * h) / a, -np.expm1(-2 * a * h) / (2 * a)
             series = h**3 * (1 / 3 - a * h / 4 + 7 * (a * h) ** 2 / 60)

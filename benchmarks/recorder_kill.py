@@ -1,6 +1,6 @@
-"""One trial of `bench_recorder`: a process with two recorders is killed. `python recorder_kill.py FOLDER` records.
+"""Trial of `bench_recorder`: a process with two recorders is killed. `python recorder_kill.py FOLDER` records.
 
-The process counts the accepted rows in a memory-mapped file, which outlives it.
+The process counts the accepted rows in a memory-mapped file, which survives it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def killed(folder: Path, seed: int) -> list[int]:
 
 
 def _lost(path: Path, count: int) -> int:
-    table = read(path, raw=True)  # rows repeat after a while, with their stamps
+    table = read(path, raw=True)  # rows repeat after a while, including their stamps
     held = inspect(path)
     told = [event.text for event in held.events]
     whole = held.metadata["armlab"]["note"] == "kill" and held.attachments["model.toml"] == ATTACHED

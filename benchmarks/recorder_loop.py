@@ -1,4 +1,4 @@
-"""One block of `bench_recorder` over a simulated link in real time, which measures the cost of each row to the loop."""
+"""Block of `bench_recorder` over a simulated link in real time: measures the cost of each row to the loop."""
 
 from __future__ import annotations
 

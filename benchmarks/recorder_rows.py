@@ -1,4 +1,4 @@
-"""Rows for `bench_recorder`, with random numbers because they must be incompressible."""
+"""Rows for `bench_recorder`, with random numbers, because they must be incompressible."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def signals() -> dict[str, Column]:
 
 
 def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Command, Tick]]:
-    """Return rows with all columns of a bridge; with `only_signals`, only q, qd, tau, a wrench and user columns.
+    """Return rows with all columns of a bridge, or with only q, qd, tau, a wrench and user columns.
 
     `count` is the number of different rows.
     """

@@ -1,4 +1,4 @@
-"""One run of `bench_recorder` over a simulated link in which the disk may stall for a while."""
+"""Run of `bench_recorder` over a simulated link in which the disk may stall temporarily."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BEFORE, AFTER = 3.0, 3.0  # s
 class Stall:
     """Counts of a run: packets, missed and late packets; rows written, dropped, and reported as dropped by events.
 
-    `latencies`: seconds from arrival to reply of each packet in the middle of the run.
+    `latencies`: time [s] from arrival to reply of each packet in the middle of the run.
     """
 
     packets: int
@@ -33,7 +33,7 @@ class Stall:
 
 
 class Disk:
-    """File on a disk that stalls between two instants of the monotonic clock."""
+    """File on a disk that stalls between two times of the monotonic clock."""
 
     def __init__(self, file: BinaryIO, still: list[float]) -> None:
         self._file, self._still = file, still
@@ -44,7 +44,7 @@ class Disk:
             time.sleep(stop - now)
 
     def write(self, data: bytes) -> int:
-        """Write when the disk responds."""
+        """Write once the disk responds."""
         self._wait()
         return self._file.write(data)
 
@@ -67,7 +67,7 @@ class Watch:
 
 
 def stalled(folder: Path, robot: str, seconds: float, stands: bool) -> Stall:
-    """Return the counts of a run whose disk, if requested, stalls for some seconds in the middle."""
+    """Return the counts of a run whose disk, if requested, stalls for some seconds in mid-run."""
     folder.mkdir()
     real, still, watch = recording_file.open_new, [0.0, 0.0], Watch()
 

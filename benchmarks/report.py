@@ -20,14 +20,15 @@ they compute the same results. A time is the median over the blocks, with the mi
 armlab's median time divided by the contender's; smaller is better. Its range is given by the quartiles of the ratios
 between blocks of the same round. Times of loops, batches and imports are processor time, which excludes waiting for a
 core; times of single steps are wall-clock time. A target is the largest ratio that the project allows, relative to a
-contender of the same run; times have no targets. Bold rows are armlab; rows in italics are limits of the machine.
+contender of the same run; times have no targets. Rows in bold are armlab; rows in italics are limits of the machine.
 """
 
 SUMMARY = """\
-Contenders run in alternating blocks on the same data, after a check that they compute the same results. There is one
-row per benchmark, with armlab's first measurement (median) and the fastest contender. A ratio below 1 means that armlab
-is faster. Targets are the project's own limits for ratios. [All measurements](benchmarks_all.md) lists every
-contender with quartiles, every target with the reason for each miss, and the method.
+Contenders run in alternating blocks on the same data, after a check that they compute the same results. Each row gives
+the first measurement of one benchmark: the median of armlab and the fastest contender. A ratio below 1 means that
+armlab is faster. Targets are the project's own limits for ratios and for values other than times. [All
+measurements](benchmarks_all.md) lists every contender with quartiles, every target with the reason for each miss, and
+the method.
 """
 
 
@@ -38,7 +39,7 @@ class Section:
     Attributes
     ----------
     other_cores : cores used by other processes during the run. seconds : wall-clock time.
-    failure : the reason for a failure. earlier : the reason for the failure of a first attempt.
+    failure : reason for the failure. earlier : reason for the failure of a first attempt.
     """
 
     name: str
@@ -84,19 +85,19 @@ def render(
 
     Parameters
     ----------
-    date : as text. machine : sentences. quick : state that the run was too short for conclusions.
+    date : date as text. machine : sentences. quick : state that the run was too short for conclusions.
     picture : file name of the picture, in the folder of the report. compared : lines about the baseline.
     """
     lines = ["# Benchmarks: all measurements", "", f"Measured by `make bench`, {date}.", *machine, ""]
     if picture:
         lines += [f"![Time of armlab relative to each peer, and measurements relative to their targets]({picture})", ""]
     if quick:
-        lines += ["**A quick run: a first impression, too short for conclusions.**", ""]
+        lines += ["**A quick run gives only a first impression.**", ""]
     others = max((section.other_cores for section in sections), default=0.0)
     if others > SHARED:
         lines += [
             f"**The machine was shared:** other processes used up to {others:.1f} cores, so times (especially tails) "
-            "are longer and scatter more than on an idle machine. Each table states the load during its measurement.",
+            "are longer and more scattered than on an idle machine. Each table states the load during its measurement.",
             "",
         ]
     lines += [f"**{section.name} failed:** {section.failure}\n" for section in sections if section.failure]
@@ -109,10 +110,10 @@ def render(
 
 
 def _times(sections: Sequence[Section]) -> list[str]:
-    """Return the wall-clock time of each benchmark, and the load from other processes in the meantime."""
+    """Return the wall-clock time of each benchmark, and the load from other processes during it."""
     total = sum(section.seconds for section in sections)
     rows = [f"| {section.name} | {section.seconds:.0f} | {section.other_cores:.2f} |" for section in sections]
-    head = ["| benchmark | s | cores used by others |", "|---|---|---|"]
+    head = ["| benchmark | s | cores used by other processes |", "|---|---|---|"]
     return ["## Duration", "", f"{total / 60.0:.0f} minutes in total.", "", *head, *rows, ""]
 
 
@@ -140,7 +141,7 @@ def _bars(sections: Sequence[Section]) -> list[str]:
 
 
 def _table(table: Table, section: Section) -> list[str]:
-    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores in the meantime."
+    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores meanwhile."
     head = f"| | median [{table.unit}] | minimum | quartiles | armlab / contender | |"
     rows = [_row(figure, SCALE[table.unit]) for figure in table.figures]
     return [f"## {table.title}", "", table.text, "", head, "|---|---|---|---|---|---|", *rows, "", noise, ""]
@@ -159,11 +160,11 @@ def _row(figure: Figure, scale: float) -> str:
 
 
 def _ratio(figure: Figure) -> str:
-    if not math.isfinite(figure.ratio):  # no missing messages on either side
+    if not math.isfinite(figure.ratio):  # neither side missed messages
         return "–"
     return f"{_digits(figure.ratio)} ({_digits(figure.ratio_lower)}–{_digits(figure.ratio_upper)})"
 
 
 def _digits(value: float) -> str:
-    """Format with three digits, without an exponent for values above one."""
+    """Format with three digits, without an exponent for values above 1."""
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""Paths by which programs read the data sent by a bridge server, with one function per path.
+"""Paths by which programs read the data of a bridge server, with one function per path.
 
 A reader receives a number of joint states and then prints a line for each message; see `path_ends`.
 """
@@ -41,10 +41,10 @@ class Way(NamedTuple):
 
     Attributes
     ----------
-    server, table : its name, and the lines of its table in a cell file.
+    server, table : name of the server, and the lines of its table in a cell file.
     reader : command for a number of joint states. environment : extra variables of reader and writer.
     writer : command of a bare publisher of the same messages, or None.
-    kinds : "J" joint states, "W" wrenches; a whole row is "J".
+    kinds : "J" joint states, "W" wrenches; a complete row is "J".
     """
 
     server: str
@@ -80,7 +80,7 @@ def dds_fast(opened: ExitStack) -> Way | None:
 
 
 def rmw_zenoh(opened: ExitStack) -> Way | None:
-    """Peer that reads the keys that a node with rmw_zenoh would read, but only the stamps in the bytes."""
+    """Peer that reads the keys of an rmw_zenoh node, but only the stamps in the bytes."""
     from armlab.bridge.servers.ros.rmw_zenoh import Names
 
     names, keys = Names(0, "1"), []
@@ -94,7 +94,7 @@ def rmw_zenoh(opened: ExitStack) -> Way | None:
 
 
 def zenoh(opened: ExitStack) -> Way | None:
-    """Plain peer that reads the rows for controllers."""
+    """Plain peer that reads the rows sent to controllers."""
     size = RowSchema.of([robots.load(ROBOT)]).size
     return _zenoh("zenoh", "", [Key(f"armlab/lab/{ROBOT}/live", "J", 32, False, MAGIC.hex() + "00" * (size - 4))])
 
@@ -106,7 +106,7 @@ def zenoh_feed(opened: ExitStack) -> Way | None:
 
 
 def rosbridge(opened: ExitStack) -> Way | None:
-    """Client with websockets alone."""
+    """Client that uses only websockets."""
     port = _free_port()
     return Way(
         "rosbridge", f"port = {port}", _program("path_rosbridge.py", "read", port), {}, _writer("rosbridge", port)
@@ -122,7 +122,7 @@ def roslibpy(opened: ExitStack) -> Way | None:
 
 
 def ros1(opened: ExitStack) -> Way | None:
-    """A real master and rospy; None if they are missing."""
+    """A real ROS 1 master and rospy; None if they are missing."""
     look = [SYSTEM, "-c", "import rospy, sensor_msgs.msg, geometry_msgs.msg"]
     if shutil.which("roscore") is None or subprocess.run(look, capture_output=True, check=False).returncode:
         return None
@@ -137,7 +137,7 @@ def ros1(opened: ExitStack) -> Way | None:
 
 
 def plotjuggler(opened: ExitStack) -> Way | None:
-    """Receiver of datagrams."""
+    """Datagram receiver."""
     port = _free_port(socket.SOCK_DGRAM)
     reader, writer = _program("path_plotjuggler.py", "read", port), _writer("plotjuggler", port)
     return Way("plotjuggler", f"port = {port}", reader, {}, writer, "J")
@@ -151,7 +151,7 @@ def labcomm(opened: ExitStack) -> Way | None:
 
 
 def local(opened: ExitStack) -> Way | None:
-    """`LocalFeed`, a Unix socket; its table is the path of the socket."""
+    """`LocalFeed`, a Unix socket; its table contains the path of the socket."""
     folder = opened.enter_context(tempfile.TemporaryDirectory())
     path = Path(folder) / "armlab" / "cell.sock"
     path.parent.mkdir(mode=0o700)
@@ -221,7 +221,7 @@ def _zenoh(server: str, table: str, keys: Sequence[Key]) -> Way:
 
 
 def _message(type_: str) -> Any:
-    """Return a message of the same length as those of the server."""
+    """Return a message of the same length as the server's messages."""
     types = store().types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
     if type_.endswith("JointState"):
@@ -232,7 +232,7 @@ def _message(type_: str) -> Any:
 
 
 def _roscore(opened: ExitStack, port: int, environment: Mapping[str, str]) -> None:
-    """Start a master, and wait until it answers; at the end, stop it and all processes that it started."""
+    """Start a master, and wait until it responds; at the end, stop it and all its descendants."""
     master = subprocess.Popen(
         ["roscore", "-p", str(port)],
         env={**os.environ, **environment},
@@ -255,7 +255,7 @@ def _roscore(opened: ExitStack, port: int, environment: Mapping[str, str]) -> No
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
             return
         if time.monotonic() > until or master.poll() is not None:
-            raise RuntimeError("Expected roscore to answer, but it does not.")
+            raise RuntimeError("Expected roscore to respond, but it does not.")
         time.sleep(0.05)
 
 

@@ -1,13 +1,14 @@
 """Run the benchmarks of armlab and its peers, and write a report.
 
-    python benchmarks/run.py                   all of them, half an hour on a quiet machine of two cores
-    python benchmarks/run.py --only pose       one
-    python benchmarks/run.py --quick           a short look
+    python benchmarks/run.py                   all benchmarks, half an hour on an idle machine with two cores
+    python benchmarks/run.py --only pose       one benchmark
+    python benchmarks/run.py --quick           quick look
     python benchmarks/run.py --publish         also write the two pages and the picture in docs, and the baseline
 
-A benchmark is a file ``bench_NAME.py`` here with a function ``run(quick) -> list[blocks.Table]``. It runs in a separate
-process, so that benchmarks do not affect each other. A report, Markdown and a picture, goes to ``benchmarks/results``;
-it states the duration of each benchmark, and compares with the baseline of the last published run.
+A benchmark is a file ``bench_NAME.py`` in this folder with a function ``run(quick) -> list[blocks.Table]``. It runs in
+a separate process, so benchmarks do not affect each other. The report (Markdown and a picture) goes to
+``benchmarks/results``. It states the duration of each benchmark, and compares it with the baseline of the last
+published run.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import environment
 
-if TYPE_CHECKING:  # the others need the peers' environment
+if TYPE_CHECKING:  # these modules need the peers' environment
     from report import Section
 
 HERE = Path(__file__).resolve().parent
@@ -34,11 +35,11 @@ def main() -> int:
     """Prepare and enter the environment, measure, and report."""
     parser = argparse.ArgumentParser(description="Benchmarks of armlab and its peers.")
     parser.add_argument("--only", choices=NAMES, action="append", metavar="NAME", help=f"one of {', '.join(NAMES)}")
-    parser.add_argument("--quick", action="store_true", help="a short look")
+    parser.add_argument("--quick", action="store_true", help="quick look, too short for conclusions")
     parser.add_argument("--publish", action="store_true", help="also write the pages in docs and the baseline")
     options = parser.parse_args()
     if options.publish and (options.only or options.quick):
-        parser.error("only a whole run can be published: omit --only and --quick")
+        parser.error("only a complete run can be published: omit --only and --quick")
     if not environment.is_inside():
         environment.prepare()
         environment.enter(__file__, sys.argv[1:])
@@ -61,7 +62,7 @@ def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> i
         minutes = (datetime.now(UTC) - start).total_seconds() / 60.0
         print(f"Measuring {name} ({k} of {len(names)}, {minutes:.0f} min) ...", flush=True)
         sections.append(measure(name, quick))
-        _write(path, date, about, sections, quick, some)  # after each, to keep the results of an aborted run
+        _write(path, date, about, sections, quick, some)  # after each benchmark, to keep the results of an aborted run
     drawn = path.with_suffix(".png")
     shown = drawn.name if picture.draw(f"{date}. {about[0]}", sections, drawn) else ""
     text = _write(path, date, about, sections, quick, some, shown)

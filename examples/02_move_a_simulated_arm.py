@@ -1,7 +1,7 @@
-"""Move one joint of a simulated YuMi along a sine over EGM, record a log and read it.
+"""Move one joint of a simulated YuMi sinusoidally over EGM, record a log and read it back.
 
-To move a real arm with the same program, replace the first line of `main` by "egm://192.168.125.50:6510" (the address
-of this computer on the robot's network); read docs/egm.md first.
+To move a real arm, read docs/egm.md, then set `url` to "egm://192.168.125.50:6510". That is the address of this
+computer on the robot's network.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from armlab import Command, State, bridge, log, robots
 
 
 def sine(state: State) -> Command:
-    """Sway the wrist by 10 degrees at 0.5 Hz, starting at rest at the current position."""
+    """Oscillate the wrist by ±10 degrees at 0.5 Hz, starting at rest at the current position."""
     grow = min(state.t, 1.0)
     q, qd = state.q_start.copy(), np.zeros(len(state.q))
     q[-1] += grow * np.deg2rad(10) * np.sin(np.pi * state.t)
@@ -19,7 +19,7 @@ def sine(state: State) -> Command:
 
 
 def main() -> None:
-    url = "sim://yumi_right?lockstep=true"  # as fast as possible; in real time without lockstep
+    url = "sim://yumi_right?lockstep=true"  # as fast as possible; omit lockstep for real time
     with bridge.connect(url, robots.load("yumi_right")) as link:
         run = link.run(sine, seconds=6.0, record="sine.mcap")
     print(run.report())

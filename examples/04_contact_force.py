@@ -1,6 +1,6 @@
-"""Estimate the force of a hand inside a controller: the arm sways, a hand presses, and the program prints the force.
+"""Estimate the force of a hand inside a controller while the arm sways; print the force once a second.
 
-Runs after 03_identify.py, which writes model.toml.
+Run 03_identify.py first; it writes model.toml.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Read a recording, select rows and columns, derive a new column and plot it.
 
-Runs after 02_move_a_simulated_arm.py, which writes sine.mcap.
+Run 02_move_a_simulated_arm.py first; it writes sine.mcap.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ def main() -> None:
     table = log.read("sine.mcap")
     print(table["q"].shape, table.units["q"], "joints", table.columns["q"].labels)
 
-    moving = table.between(1.0, 5.0).select("q", "qd", "q_sent")  # seconds, half-open interval; a view
+    moving = table.between(1.0, 5.0).select("q", "qd", "q_sent")  # half-open interval in seconds; returns a view
     print(moving.describe())
 
     error = table["q_sent"] - table["q"]  # missing values stay NaN
@@ -21,8 +21,8 @@ def main() -> None:
     worst = np.nanargmax(np.abs(error[:, -1]))
     print(f"largest tracking error {np.rad2deg(error[worst, -1]):.2f} deg at t = {table.t[worst]:.2f} s")
 
-    slope = signals.central_diff(table["q"], table.t)  # on the true time stamps
-    print("measured velocity against slope of the position, RMS [rad/s]:", np.std(table["qd"] - slope, axis=0).round(5))
+    slope = signals.central_diff(table["q"], table.t)  # uses the actual time stamps
+    print("measured velocity minus position derivative, sd [rad/s]:", np.std(table["qd"] - slope, axis=0).round(5))
 
     figure = plots.table(table, "q", "q_sent", "tau", "tracking_error")
     figure.savefig("sine.png", dpi=120)

@@ -21,18 +21,18 @@ ARM = """<robot name="lift">
 
 
 def main() -> None:
-    tree = robots.urdf.parse(ARM)  # from a file: robots.urdf.read, or robots.load to get one arm directly
+    tree = robots.urdf.parse(ARM)  # for a file: robots.urdf.read, or robots.load for a single arm
     print(tree, "from", tree.root, "to", ", ".join(tree.tips))
-    robot = tree.chain("floor", "hand")  # the fixed joint is merged; the mass of the hand is part of the beam
-    print("joints", robot.joint_names, "masses", robot.inertias[:, 0], "kg, at most", robot.tau_max, "N, N m")
+    robot = tree.chain("floor", "hand")  # the fixed joint is merged: the hand becomes part of the beam
+    print("joints", robot.joint_names, "masses", robot.inertias[:, 0], "kg, effort limits", robot.tau_max, "N, N m")
 
     q = np.array([0.4, 0.5])
-    print("hand at", kinematics.forward(robot, q)[:3, 3].round(4), "m")
-    print("held by", dynamics.gravity(robot, q).round(3), "N, N m")
+    print("hand position", kinematics.forward(robot, q)[:3, 3].round(4), "m")
+    print("gravity force and torque", dynamics.gravity(robot, q).round(3), "N, N m")
 
-    robots.save(robot, "lift.toml")  # bit-identical
+    robots.save(robot, "lift.toml")  # lossless
     robots.save(robot, "lift.urdf")  # for Pinocchio, MuJoCo and ROS
-    print("the file contains the same robot:", robots.load("lift.toml") == robot)
+    print("loaded robot equals the saved one:", robots.load("lift.toml") == robot)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ def main() -> None:
     ax = plots.robot(robots.load("yumi_left"))  # both arms in one scene, in the body frame
     plots.robot(robots.load("yumi_right"), ax=ax)
     ax.figure.savefig("yumi.png", dpi=120)
-    print("figures: arm poses path ellipsoids workspace yumi .png")
+    print("figures (.png): arm, poses, path, ellipsoids, workspace, yumi")
 
 
 if __name__ == "__main__":

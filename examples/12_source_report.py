@@ -4,8 +4,8 @@ import numpy as np
 
 from armlab import contact, identify, log, plots, robots, sim
 
-WEIGHT = [(20.0, 0, 4.905), (23.0, 2, -4.905)]  # s, axis, N: 500 g along x, then along -z, on both hands simultaneously
-FIRST = {"left": 10.0, "right": 1.0}  # s: until then, 5 N along x, y, z of the base, on one hand after the other
+WEIGHT = [(20.0, 0, 4.905), (23.0, 2, -4.905)]  # s, axis, N: weight of 500 g on both tools, along x, then -z
+FIRST = {"left": 10.0, "right": 1.0}  # start of the 5 N presses along base x, y, z [s]
 
 
 def measure(side: str) -> tuple[log.Table, log.Table]:

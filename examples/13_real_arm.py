@@ -1,4 +1,4 @@
-"""Identify a Staubli TX40 from a public log: motor angles and currents, no velocities, a coupled wrist."""
+"""Identify a Staubli TX40 from a public log of motor angles and currents, without velocities; the wrist is coupled."""
 
 import sys
 from dataclasses import replace
@@ -12,13 +12,13 @@ from armlab.robots import couplings
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else "staubli_tx40")
 GEARS = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])  # q_motor = GEARS @ q
 GEARS[5, 4] = 32.0  # motor 6 also rotates with joint 5
-ZERO = np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])  # signs of the URDF joints relative to the motors
+ZERO = np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])  # joint zeros of the URDF relative to the motors [rad]
 
 
 def main() -> None:
     if not FOLDER.is_dir():
-        print(f"No folder {FOLDER}: get the URDF, pos_read_data.csv and curr_data.csv of the TX40 from the repository")
-        print("github.com/thanhndv212/figaroh-plus (Apache-2.0), and pass their folder as the first argument.")
+        print(f"Folder {FOLDER} not found. Download the URDF, pos_read_data.csv and curr_data.csv of the TX40 from")
+        print("github.com/thanhndv212/figaroh-plus (Apache-2.0) and pass their folder as the first argument.")
         return
     robot = replace(robots.load(FOLDER / "tx40_mdh_modified.urdf"), coupling=np.linalg.inv(GEARS))
     angles, currents = (next(FOLDER.glob(f"{name}.csv*")) for name in ("pos_read_data", "curr_data"))

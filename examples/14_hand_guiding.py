@@ -1,6 +1,6 @@
-"""Hand guiding without a force sensor: the arm yields to the force of a hand, which is estimated from motor torques.
+"""Hand guiding without a force sensor: the arm yields to a hand force estimated from motor torques.
 
-Runs after 03_identify.py, which writes model.toml.
+Run 03_identify.py first; it writes model.toml.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ def main() -> None:
     def give_way(state: State) -> Command:
         found = estimator.step(state)
         force, band = found.wrench[:3], 2 * found.sigma[:3]
-        certain = np.sign(force) * np.maximum(np.abs(force) - band, 0.0)  # ignore friction at rest
+        certain = np.sign(force) * np.maximum(np.abs(force) - band, 0.0)  # the band includes friction at rest
         qd = np.linalg.pinv(robot.chain.jacobian(state.q)[:3]) @ (YIELD * certain)
         return Command(qd=qd, record={"wrench_hat": found.wrench, "wrench_hat_cov": found.cov})
 

@@ -1,6 +1,6 @@
-"""Lead an arm by hand and let it repeat the motion: record without sending anything, then replay the log.
+"""Guide an arm by hand and repeat the motion: record without sending commands, then replay the log.
 
-`armlab record yumi_right --lead-through -o taught.mcap` performs the first half from the command line.
+`armlab record yumi_right --lead-through -o taught.mcap` records from the command line.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def replay(table: log.Table):
 def main() -> None:
     robot = robots.load("yumi_right")
     with bridge.connect("sim://yumi_right?program=lead-through&seed=3", robot) as link:
-        taught = link.run(None, seconds=SECONDS, record="taught.mcap").table  # in real time, since a hand cannot wait
+        taught = link.run(None, seconds=SECONDS, record="taught.mcap").table  # in real time, as with a human hand
     with bridge.connect("sim://yumi_right?lockstep=true", robot) as link:
         done = link.run(replay(taught), seconds=APPROACH + SECONDS, record="repeated.mcap").table
     for name, table in (("led by hand", taught), ("repeated", done)):

@@ -1,6 +1,6 @@
-"""Stop when the arm is touched, with the contact estimator in the loop and without a force sensor.
+"""Stop on contact: run the contact estimator in the control loop, without a force sensor.
 
-Runs after 03_identify.py, which writes model.toml.
+Run 03_identify.py first; it writes model.toml.
 """
 
 from dataclasses import replace
@@ -10,7 +10,7 @@ import numpy as np
 
 from armlab import Command, State, bridge, contact, identify, models, plots, robots
 
-TOUCH = "t,fx,fy,fz,mx,my,mz\n3,0,0,0,0,0,0\n3.2,0,12,0,0,0,0\n9,0,12,0,0,0,0\n"  # a hand presses from 3 s on
+TOUCH = "t,fx,fy,fz,mx,my,mz\n3,0,0,0,0,0,0\n3.2,0,12,0,0,0,0\n9,0,12,0,0,0,0\n"  # a hand presses after 3 s
 LIMIT = 6.0  # N, above the estimation error without contact
 
 

@@ -1,6 +1,6 @@
-"""Impedance control by torque: the arm acts as a spring and damper around its start, and a hand pushes it.
+"""Torque-based impedance control: the arm acts as a spring and damper about its start, and a hand pushes it.
 
-The simulated robot receives torques through the research extension; standard EGM cannot carry them. The arm stops some
+The simulated robot accepts torques through the research extension; standard EGM has no torques. The arm stops a few
 millimetres from its start, because such a soft spring cannot overcome friction.
 """
 
@@ -28,10 +28,10 @@ def main() -> None:
     with bridge.connect("sim://yumi_right?lockstep=true&seed=1&operator=push.csv", robot) as link:
         table = link.run(spring, seconds=5.0, limits=limits).table
     T_base_tool = kinematics.forward(robot, table["q"])
-    T_base_tool[:, :3, 3] -= T_base_tool[0, :3, 3].copy()  # from the start
+    T_base_tool[:, :3, 3] -= T_base_tool[0, :3, 3].copy()  # displacement from the start
     for when, t in (("before the push", 0.9), ("during", 2.9), ("after", 4.9)):
         way = 1e3 * T_base_tool[np.searchsorted(table.t - table.t[0], t), :3, 3]
-        print(f"{when:15} the tool is {way.round(1)} mm from its start")
+        print(f"{when:15} tool displacement {way.round(1)} mm")
     plots.poses(T_base_tool, table.t - table.t[0], rotation=False).figure.savefig("impedance.png", dpi=120)
 
 

@@ -1,4 +1,4 @@
-"""Use an external sensor: each State holds its newest value and age (NaN if it is stale); the log holds all values."""
+"""Use an external sensor: each State holds its latest value (NaN if stale) and age; the log holds all values."""
 
 import itertools
 
@@ -18,7 +18,7 @@ def read_tracker() -> dict[str, object] | None:
 
 
 def controller(state: State) -> Command:
-    """Rotate the flange with the tracker value; return to the start while the value is stale (NaN)."""
+    """Rotate the flange according to the tracker value; return to the start while the value is stale (NaN)."""
     seen = state.sources["tracker"]
     COUNTS["too old" if seen.stale else "fresh" if seen.fresh else "held"] += 1
     q = state.q_start.copy()
@@ -32,7 +32,7 @@ def main() -> None:
     with bridge.connect("sim://yumi_right", robots.load("yumi_right")) as link:
         run = link.run(controller, seconds=1.5, sources=[tracker])
     print("packets by tracker state:", COUNTS)
-    print("oldest value in the log [s]:", np.nanmax(run.table["tracker.age"]).round(2))
+    print("maximum age in the log [s]:", np.nanmax(run.table["tracker.age"]).round(2))
 
 
 if __name__ == "__main__":

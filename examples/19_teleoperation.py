@@ -1,6 +1,6 @@
 """Teleoperation: the left arm of a YuMi yields to a hand, and the right arm mirrors its motion.
 
-A simulated hand pushes the left arm, in lockstep. With two egm:// addresses, the program runs on a robot.
+A simulated hand pushes the left arm in lockstep. To run the program on a robot, use two egm:// addresses.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ START: dict[str, np.ndarray] = {}  # torque at the start of guidance: gravity an
 
 
 def follow(state: State) -> tuple[Command, Command]:
-    """Let the left arm yield to the torque change since the start, and the right arm follow its motion."""
+    """Make the left arm yield to the torque change since the start, and the right arm mirror its motion."""
     left, right = state.arms
     pushed = START.setdefault("tau", left.tau) - left.tau  # the position-controlled drives resist the hand
     yielding = 0.1 * np.sign(pushed) * np.maximum(np.abs(pushed) - 2.5, 0.0)

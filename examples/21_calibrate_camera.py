@@ -1,4 +1,4 @@
-"""Hand-eye calibration: find the poses of a camera and of a marker on the tool, with outliers and covariance."""
+"""Hand-eye calibration: estimate the poses of a camera and of a marker on the tool from samples with outliers."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from armlab.lie import so3
 
 
 def main() -> None:
-    seen = sim.cell(seed=1).hand_eye(N=30, wrong=2)  # robot poses and marker poses, with known truth
+    seen = sim.cell(seed=1).hand_eye(N=30, wrong=2)  # robot poses and marker poses, with ground truth
     fit = calibrate.fit_hand_eye(seen.A, seen.B, robust=True)
     print(fit.report())
     fit.save("camera.toml")

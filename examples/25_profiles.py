@@ -1,4 +1,4 @@
-"""Plan point-to-point motions; compare their durations and peak speeds with the limits of the arm."""
+"""Plan point-to-point motions; compare their durations, peak speeds and peak accelerations."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ SLOW, SOFT = 0.3 * ROBOT.qd_max, 2.0  # rad/s, rad/s^2
 
 def report(name: str, profile: profiles.Profile) -> None:
     speed, acceleration = (profile.qd_peak / SLOW).max(), profile.qdd_peak.max()
-    print(f"{name:13s} {profile.duration:.3f} s, {speed:.0%} of the speed, at most {acceleration:.2f} rad/s^2")
+    print(f"{name:13s} {profile.duration:.3f} s, {speed:.0%} of the speed limit, at most {acceleration:.2f} rad/s^2")
 
 
 def main() -> None:
     start, end = ROBOT.q_home, ROBOT.q_home + np.deg2rad([30, -10, 20, -25, 40, 15, -60])
-    smooth = profiles.minimum_jerk(start, end, duration=0.5).slowed(SLOW, SOFT)  # shortest within the limits
+    smooth = profiles.minimum_jerk(start, end, duration=0.5).slowed(SLOW, SOFT)  # shortest duration within the limits
     report("minimum jerk", smooth)
     report("trapezoidal", profiles.trapezoidal(start, end, SLOW, SOFT))
     report("spline", profiles.spline([0, 1, 2], [start, (start + end) / 2, end]).slowed(SLOW, SOFT))

@@ -1,6 +1,6 @@
-"""Teach by leading the arm, repeat the motion, hold the arm for two seconds and release it: the motion resumes.
+"""Teach a motion by hand and repeat it; hold the arm for two seconds and release it: the motion resumes.
 
-This is the experiment of Karlsson et al. (IFAC 2017) on a simulated YuMi over EGM. A sensor measures the hand force.
+Reproduces the experiment of Karlsson et al. (IFAC 2017) on a simulated YuMi over EGM. A sensor measures the hand force.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def give_way(state: State) -> np.ndarray:
 
 def main() -> None:
     with bridge.connect("sim://yumi_right?program=lead-through&seed=3", ROBOT) as link:
-        taught = link.run(None, seconds=2.5).table  # in real time, since a hand cannot wait
+        taught = link.run(None, seconds=2.5).table  # in real time, as with a human hand
     dmp = motion.fit_dmp(taught.t, taught["q"], scaling="none").value
     two_dof = motion.TwoDofDmp(dmp, e0=0.02)  # rad, above the tracking lag
     controller = two_dof.controller(ROBOT, give_way=give_way)
@@ -31,8 +31,8 @@ def main() -> None:
     before, after = np.searchsorted(run.t, HELD)
     tool = kinematics.forward(ROBOT, run.ya)[:, :3, 3]
     moved = 1e3 * np.linalg.norm(tool[before:after] - tool[before], axis=1).max()
-    print(f"held: the tool moved {moved:.1f} mm, the path ran {run.tau_a.max() / run.tau_a.min():.0f} times slower")
-    print(f"let go: off its path by {1e3 * np.abs(run.ya[-1] - run.yc[-1]).max():.1f} mrad, done: {controller.done}")
+    print(f"held: tool moved {moved:.1f} mm, path slowed by a factor of {run.tau_a.max() / run.tau_a.min():.0f}")
+    print(f"released: path error {1e3 * np.abs(run.ya[-1] - run.yc[-1]).max():.1f} mrad, done: {controller.done}")
     plots.two_dof(run, [3, 5]).savefig("recovery.png")
 
 

@@ -1,4 +1,4 @@
-"""Both arms of a YuMi run one primitive: while a hand holds the left arm, the right arm waits; they end together."""
+"""Both arms of a YuMi run one primitive: while a hand holds the left arm, the right arm waits."""
 
 import numpy as np
 

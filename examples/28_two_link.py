@@ -1,6 +1,6 @@
-"""Two-link arm: inverse kinematics, a primitive through points, torques by inverse dynamics, recovery from a push.
+"""Two-link arm: inverse kinematics, a movement primitive, inverse dynamics, and recovery from a push.
 
-This is the demo of DynamicMovementPrimitives.jl (src/demo_two_link.jl), which raises an error in that package.
+Port of src/demo_two_link.jl from DynamicMovementPrimitives.jl, where the demo raises an error.
 """
 
 import numpy as np
@@ -25,8 +25,8 @@ def main() -> None:
     dmp = motion.fit_dmp(t, taught).value
     run = motion.TwoDofDmp(dmp).simulate(dmp.times(0.01, 12.0), [plant], dt=0.01)
     shown, tip, path, free = (two_link.forward(q) for q in (taught, run.ya, run.yc, run.free.y))
-    for name, off in (("taught and repeated", free[: len(t)] - shown), ("pushed, from its path", tip - path)):
-        print(f"{name}: the tip is at most {1e3 * np.linalg.norm(off, axis=1).max():.1f} mm off")
+    for name, off in (("repetition", free[: len(t)] - shown), ("path with a push", tip - path)):
+        print(f"{name}: tip error at most {1e3 * np.linalg.norm(off, axis=1).max():.1f} mm")
     print(f"end: tip {1e3 * np.linalg.norm(tip[-1] - POINTS[-1]):.2f} mm from the last point")
 
 

@@ -10,7 +10,7 @@ PERIOD, CHANGE, TURN = 1.6, 3.2, 2 * np.pi / 1.6  # s, s, rad/s
 
 
 def demonstration() -> tuple[np.ndarray, np.ndarray]:
-    """Four periods of a horizontal figure of eight, as led by hand, with 0.5 mm of noise."""
+    """Return four periods of a hand-guided horizontal figure of eight, with 0.5 mm of noise."""
     t = np.arange(0.0, 4 * PERIOD, 0.004)
     eight = np.stack([0.02 * np.sin(2 * TURN * t), 0.05 * np.cos(TURN * t), np.zeros_like(t)], axis=1)
     return t, START[:3, 3] + eight + np.random.default_rng(0).normal(size=eight.shape) * 5e-4
@@ -32,7 +32,7 @@ def main() -> None:
     T_base_tool = kinematics.forward(ROBOT, table["q"])
     for name, rows in (("first", slice(400, 800)), ("wider and faster", slice(1100, 1500))):
         x, y, z = 1e3 * np.ptp(T_base_tool[rows, :3, 3], axis=0)
-        print(f"{name}: {x:.0f} mm by {y:.0f} mm, flat within {z:.1f} mm")
+        print(f"{name}: {x:.0f} mm by {y:.0f} mm, height range {z:.1f} mm")
     plots.poses(T_base_tool, table.t, rotation=False).figure.savefig("wiping.png")
 
 

@@ -1,4 +1,4 @@
-"""Learn the variation of a motion from several demonstrations, and condition it on a point above all of them."""
+"""Learn a distribution of motions from several demonstrations, and condition it on a point above all of them."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from armlab import motion, plots
 
 
 def demonstrations() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Eight paths over an obstacle (x, y) [m] with different heights and durations, and 0.5 mm of noise."""
+    """Return eight paths (x, y) [m] over an obstacle, with varying heights and durations and 0.5 mm of noise."""
     rng, found = np.random.default_rng(1), []
     for _ in range(8):
         t = np.linspace(0.0, rng.normal(2.0, 0.1), 400)
@@ -22,17 +22,17 @@ def main() -> None:
     promp = motion.fit_promp([t for t, _ in shown], [y for _, y in shown]).value
     middle = promp.duration / 2
     sd = promp.marginal([middle]).sd[0]
-    print(f"{len(shown)} demonstrations: in the middle they differ by {1e3 * sd[0]:.0f} and {1e3 * sd[1]:.0f} mm (sd)")
+    print(f"{len(shown)} demonstrations: sd at mid-motion {1e3 * sd[0]:.0f} and {1e3 * sd[1]:.0f} mm")
 
-    passing = promp.condition(middle, [0.29], cov=1e-6, coordinates=[1])  # this height within a millimetre
+    passing = promp.condition(middle, [0.29], cov=1e-6, coordinates=[1])  # this height, with an sd of 1 mm
     there = passing.marginal([middle])
     print(
-        f"passes {there.y[0, 1]:.3f} m high, at {there.y[0, 0]:.3f} m with a deviation of {1e3 * there.sd[0, 0]:.0f} mm"
+        f"conditioned: height {there.y[0, 1]:.3f} m at x = {there.y[0, 0]:.3f} m, sd of x {1e3 * there.sd[0, 0]:.0f} mm"
     )
 
     mean = passing.marginal(0.004)
-    dmp = motion.fit_dmp(mean.t, mean.y).value  # the motion that a controller runs
-    print(f"error of the primitive: at most {1e3 * np.abs(dmp.rollout(mean.t).y - mean.y).max():.2f} mm")
+    dmp = motion.fit_dmp(mean.t, mean.y).value  # for a controller
+    print(f"primitive error: at most {1e3 * np.abs(dmp.rollout(mean.t).y - mean.y).max():.2f} mm")
     plots.promp(passing, prior=promp, points=[(middle, [np.nan, 0.29])], samples=5).savefig("several.png")
 
 

@@ -1,4 +1,4 @@
-"""Read a bag that `ros2 bag record` wrote: joints of a UR5e at 500 Hz in the driver's order, a temperature at 10 Hz."""
+"""Read a ROS 2 bag with UR5e joint states at 500 Hz, in the driver's order, and a temperature at 10 Hz."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from armlab import log, robots
 from armlab.errors import LogError
 
 
-def record(path: Path, names: list[str]) -> None:  # stands in for a robot and its driver
+def record(path: Path, names: list[str]) -> None:  # replaces `ros2 bag record`
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     state, number, header, time = (store.types[kind] for kind in kinds)

@@ -11,7 +11,7 @@ def main() -> None:
     robot = robots.load("yumi_right")
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
-    for k in range(3):  # stands in for a month of recordings
+    for k in range(3):  # simulate the recordings of three days
         motion = identify.design_excitation(robot, seconds=15.0, seed=k)
         with bridge.connect(f"sim://yumi_right?lockstep=true&seed={k}", robot) as link:
             link.run(motion.controller(approach=3.0), seconds=18.0, record=folder / f"day{k}.mcap")

@@ -1,6 +1,6 @@
-"""Draw circles on a table with constant force, estimated from motor torques (simulated arm; the table is a spring).
+"""Draw circles on a table with constant force, estimated from motor torques (simulated arm and elastic table).
 
-Runs after 03_identify.py, which writes model.toml.
+Run 03_identify.py first; it writes model.toml.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Identify a payload from motor torques and include it in force estimation; an unmodelled load appears as a contact."""
+"""Identify a payload from motor torques and add it to the model; otherwise, its weight appears as a contact force."""
 
 import numpy as np
 

@@ -12,7 +12,7 @@ SECONDS, STEP = 4.0, 0.004  # s
 def main() -> None:
     T_base_tools = [kinematics.forward(robot, robot.q_home) for robot in ARMS]
     T_base_box = se3.from_rp(np.eye(3), np.mean([T[:3, 3] for T in T_base_tools], axis=0))
-    T_box_tools = [se3.inv(T_base_box) @ T for T in T_base_tools]  # poses of the grasps relative to the box
+    T_box_tools = [se3.inv(T_base_box) @ T for T in T_base_tools]  # grasp poses relative to the box
     T_base_goal = T_base_box @ se3.from_rp(so3.exp([0.0, 0.0, np.deg2rad(20)]), [0.05, 0.0, 0.1])
     way = motion.profiles.minimum_jerk([0.0], [1.0], duration=SECONDS).at(np.arange(0.0, SECONDS, STEP))[0]
     T_base_boxes = se3.interpolate(T_base_box, T_base_goal, way[:, 0].clip(0, 1))
@@ -28,7 +28,7 @@ def main() -> None:
     T_base_left, T_base_right = (kinematics.forward(robot, table[f"{robot.name}.q"]) for robot in ARMS)
     T_left_right = se3.inv(T_base_left) @ T_base_right
     slip = np.linalg.norm(T_left_right[:, :3, 3] - T_left_right[0, :3, 3], axis=1).max()
-    print(f"error of one grasp relative to the other: at most {1e3 * slip:.2f} mm")
+    print(f"relative error of the two grasps: at most {1e3 * slip:.2f} mm")
     T_base_end = T_base_left[-1] @ se3.inv(T_box_tools[0])
     print(f"box: {1e3 * np.linalg.norm((T_base_end - T_base_goal)[:3, 3]):.2f} mm from its goal")
     ax = plots.robot(ARMS[0], table["yumi_left.q"][-1], frames=False)

@@ -1,4 +1,4 @@
-"""Input of the servers' clients: rosbridge, ROS over DDS and Zenoh, Zenoh, LabComm, UDP, requests to the loop."""
+"""Fuzz targets for server clients: rosbridge, ROS over DDS and Zenoh, Zenoh, LabComm, UDP, requests to the loop."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _schema() -> RowSchema:
 
 
 class _Loop:
-    """The loop as seen by a server; every request must be readable by the loop."""
+    """Loop as seen by a server; every request must be valid for the real loop."""
 
     def __init__(self) -> None:
         self.schema = _schema()
@@ -68,7 +68,7 @@ def _engine() -> Engine:
 
 
 def rosbridge(data: bytes) -> None:
-    """Text of a rosbridge client, line by line: must not raise, and all output must be JSON."""
+    """Text of a rosbridge client, line by line: must not raise, and all output must be valid JSON."""
     engine = _engine()
     session = engine.join("127.0.0.1:5000")
     try:
@@ -88,7 +88,7 @@ def _commands() -> Commands:
 
 
 def ros_command(data: bytes) -> None:
-    """ROS message in CDR, or its content in JSON as from the ROS 1 node, on a topic selected by the first byte."""
+    """ROS message in CDR, or its content in JSON as sent by the ROS 1 node; the first byte selects the topic."""
     topics = list(_commands().types)
     topic, raw = topics[(data[0] if data else 0) % len(topics)], data[1:]
     reads: list[Callable[[], Any]] = [lambda: content(_commands().types[topic], raw)]
@@ -107,7 +107,7 @@ def ros_command(data: bytes) -> None:
 
 
 def _graph(data: bytes) -> None:
-    """Tokens of the graph, line by line, with the bytes attached to a message after the last."""
+    """Tokens of the graph, line by line; the bytes after the last line are the attachment of a message."""
     *tokens, attached = data.split(b"\n")
     nodes = Nodes(lambda client: None)
     for number, token in enumerate(tokens[:16]):
@@ -138,7 +138,7 @@ def _zenoh() -> ZenohProcess:
 def zenoh(data: bytes) -> None:
     """Command, setting or stop over Zenoh: length and last word of the key, length and attachment, payload.
 
-    The same bytes also serve as tokens and attachments of rmw_zenoh.
+    The same bytes are also used as tokens and attachments of rmw_zenoh.
     """
     _graph(data)
     first = data[0] if data else 0
@@ -183,7 +183,7 @@ def _datagram(data: bytes) -> None:
 
 
 def request(data: bytes) -> None:
-    """Request to the loop, row, schema of rows, or datagram to a source of numbers."""
+    """Request to the loop, row, row schema, or datagram for a data source."""
     _datagram(data)
     reads = (read_request, RowSchema.read, lambda raw: dict(read_row(_schema(), raw).values))
     for read in reads:

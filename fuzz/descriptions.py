@@ -39,7 +39,7 @@ def robot_urdf(data: bytes) -> None:
 
 
 def robot_toml(data: bytes) -> None:
-    """Robot file with joints by DH, POE or screws; writing it again must preserve every bit."""
+    """Robot file with DH rows, POE or screws; writing it again must preserve every bit."""
     try:
         arm = robots.from_toml(_text(data), "a.toml")
         text = robots.to_toml(arm)

@@ -1,4 +1,4 @@
-"""Files: logs of all formats that armlab decodes itself, and secrets in attached settings."""
+"""Fuzz targets for files: log formats that armlab decodes itself, and secrets in attached settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _file(name: str, data: bytes) -> Path:
 
 
 def mcap(data: bytes) -> None:
-    """MCAP file, possibly truncated; all readable data must also be in its recovered copy."""
+    """MCAP file, possibly truncated; its recovered copy must contain all readable data."""
     path, copy = _file("a.mcap", data), Path(_FOLDER.name) / "b.mcap"
     copy.unlink(missing_ok=True)
     for look in (log.inspect, log.read_topics):
@@ -34,13 +34,13 @@ def mcap(data: bytes) -> None:
         table = log.read(path)
     except ArmlabError:
         table = None
-    if format_of(data[:FIRST]) != "MCAP":  # for example a file read as text, which cannot be recovered
+    if format_of(data[:FIRST]) != "MCAP":  # for example a text file, which cannot be recovered
         return
     try:
         log.recover(path, copy)
         again = log.read(copy)
     except ArmlabError:
-        assert table is None or not len(table), "rows that are read are lost by recover"
+        assert table is None or not len(table), "recover loses readable rows"
         return
     if table is not None:
         assert table.names == again.names

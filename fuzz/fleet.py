@@ -45,9 +45,9 @@ def _schema() -> RowSchema:
 
 
 def fleet(data: bytes) -> None:
-    """Answer to "about", text and row, separated by NUL; every reader must accept or reject them.
+    """Answer to "about", text and row, separated by NUL; every reader must accept or reject them cleanly.
 
-    The row is also read with the schema in the answer, or else with the schema of the arm.
+    The row is read with the schema in the answer, if any, and with the schema of the arm.
     """
     about, _, rest = data.partition(b"\0")
     text, _, row = rest.partition(b"\0")
@@ -120,7 +120,7 @@ def _monitored(about: bytes, text: bytes, rows: list[bytes]) -> None:
         for row in rows:
             feed._take_row(_sample(row))
         while feed.wait(0.0):
-            with contextlib.suppress(LinkError):  # only rows of a different schema were waiting
+            with contextlib.suppress(LinkError):  # only rows with a different schema were queued
                 running._take(feed.receive())
         assert all(isinstance(line, str) for line in (*running.watch.lines(0), *running.watch.notes()))
 

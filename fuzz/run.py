@@ -1,8 +1,8 @@
-"""Fuzz the decoders: `python fuzz/run.py [TARGET ...] [--seconds 600]`, guided by coverage (atheris).
+"""Coverage-guided fuzzing of the decoders (atheris): `python fuzz/run.py [TARGET ...] [--seconds 600]`.
 
-Seed inputs are in `fuzz/corpus/TARGET`. New inputs found by a run are saved in `build/fuzz/TARGET`, where the next run
-continues. Failing inputs are saved in `build/fuzz/failed`; `python fuzz/run.py TARGET FILE ...` replays them without
-atheris. After the fix, add the input to the corpus, which a test replays.
+Seed inputs are in `fuzz/corpus/TARGET`. New inputs are saved in `build/fuzz/TARGET`, from which the next run continues.
+Failing inputs are saved in `build/fuzz/failed`; `python fuzz/run.py TARGET FILE ...` replays them without atheris.
+After a fix, add the input to the corpus, which a test replays.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS, BUILD = ROOT / "fuzz" / "corpus", ROOT / "build" / "fuzz"
-TOGETHER = 2  # targets
+TOGETHER = 2  # targets fuzzed in parallel
 TIMEOUT, MEMORY, LONGEST = 20, 2048, 32768  # limits for one input: time [s] on a busy machine, memory [MiB], size [B]
 
 
@@ -28,7 +28,7 @@ def main() -> int:
     """Run the command line; return 1 if a target failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", help="targets, default: all; files after a single target are run once")
-    parser.add_argument("--seconds", type=int, default=600, help="of each target")
+    parser.add_argument("--seconds", type=int, default=600, help="duration per target [s]")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -39,7 +39,7 @@ def main() -> int:
     if files:
         return replay(given.what[0], files)
     if importlib.util.find_spec("atheris") is None:
-        print("Expected atheris, got none. Install it if your Python has a wheel: pip install 'armlab[fuzz]'.")
+        print("Expected atheris, but it is not installed. If your Python has a wheel: pip install 'armlab[fuzz]'.")
         return 1
     names = given.what or sorted(one.name for one in CORPUS.iterdir())
     with tempfile.TemporaryDirectory(prefix="armlab-fuzz-") as folder, ThreadPoolExecutor(TOGETHER) as pool:
@@ -67,7 +67,7 @@ def aside(name: str, seconds: int, seed: int, folder: str) -> str:
         "TMPDIR": folder,
         "OMP_NUM_THREADS": "1",
         "PYTHONHASHSEED": "0",
-    }  # the same in every run
+    }  # for reproducible runs
     log = BUILD / f"{name}.log"
     with log.open("wb") as out:
         status = subprocess.run(command, stdout=out, stderr=out, env=environment, cwd=ROOT, check=False).returncode
@@ -87,14 +87,14 @@ def fuzz(name: str, seconds: int, seed: int) -> int:
     import atheris
 
     warnings.simplefilter("ignore")
-    sys.path.insert(0, str(ROOT / "src"))  # the loader of an editable installation cannot be instrumented
-    sys.meta_path.sort(key=lambda finder: "editable" in type(finder).__module__)  # kept for the extension
+    sys.path.insert(0, str(ROOT / "src"))  # the loader of an editable installation does not support instrumentation
+    sys.meta_path.sort(key=lambda finder: "editable" in type(finder).__module__)  # kept for the compiled extension
     with atheris.instrument_imports(include=["armlab"]):
         from fuzz.targets import TARGETS
 
         target = TARGETS[name]
         for path in sorted((CORPUS / name).iterdir()):
-            target(path.read_bytes())  # imports within functions are instrumented too
+            target(path.read_bytes())  # also instruments imports within functions
     found, failed = BUILD / name, BUILD / "failed"
     found.mkdir(parents=True, exist_ok=True)
     failed.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Write the seed inputs in `corpus` with armlab's own encoders: `python fuzz/seeds.py`. Past failures are kept."""
+"""Write the seed inputs in `corpus` with armlab's own encoders: `python fuzz/seeds.py`. Past failures are preserved."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def framed(*pieces: bytes) -> bytes:
 
 
 def egm() -> Seeds:
-    """Packets of robots of all flavours, and replies."""
+    """Robot packets of all flavours, and replies."""
     for number, (name, flavour) in enumerate((("yumi_left", "7"), ("irb120", "6.10"), ("irb2400", "6.06"))):
         arm = robots.load(name)
         side = RobotSideCodec(arm, flavour, extension=flavour == "7", force=flavour == "7")
@@ -127,7 +127,7 @@ def logs(folder: Path) -> Seeds:
 
 
 def plain(whole: bytes) -> bytes:
-    """Return the same messages in chunks without compression or checksum, so that mutations reach their content."""
+    """Return the same messages in chunks without compression or checksum, so mutations reach their content."""
     from mcap.reader import make_reader
     from mcap.writer import CompressionType, Writer
 
@@ -144,7 +144,7 @@ def plain(whole: bytes) -> bytes:
 
 
 def encodings() -> bytes:
-    """Return messages of other programs in JSON, protobuf and CDR, without checksums."""
+    """Return messages as written by other programs in JSON, protobuf and CDR, without checksums."""
     from google.protobuf import descriptor_pb2, timestamp_pb2
     from mcap.writer import CompressionType, Writer
 
@@ -280,7 +280,7 @@ def client() -> Seeds:
 
 
 def message() -> Seeds:
-    """Definitions of message types, with messages."""
+    """Message type definitions with messages."""
     text = "int32 a\nstring b\nfloat64[] c\nfloat32[2] d\nS[] e\n" + "=" * 80 + "\nMSG: a/S\nbool x\n"
     body = struct.pack("<i", 7) + struct.pack("<I", 2) + b"b\0\0\0" + struct.pack("<II2d", 2, 0, 1.0, 2.0)
     yield "definitions", "msg", text.encode() + b"\0\0" + b"\0\1\0\0" + body + struct.pack("<2fI", 1, 2, 1) + b"\1"

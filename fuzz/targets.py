@@ -1,4 +1,4 @@
-"""Table of fuzz targets; each name is documented by its function, which raises on a finding."""
+"""Table of fuzz targets, documented by their functions. A target raises an exception for a finding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Input from sockets: EGM, LabComm, and messages in CDR."""
+"""Fuzz targets for socket input: EGM, LabComm, and CDR messages."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _arm(number: int) -> Any:
 
 
 def egm_robot(data: bytes) -> None:
-    """Two packets of a robot: the first defines the layout, and reading the second must equal parsing it anew."""
+    """Two robot packets: the first defines the layout, and decoding the second must equal parsing it anew."""
     arm = _arm(data[0] if data else 0)
     codec = EgmCodec(arm, extension=True)
     found = Drop("unparsable", "")
@@ -63,7 +63,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _said_again(arm: Any, packet: Packet) -> None:
-    """Check that the robot side reads back what it writes of a packet."""
+    """Check that the robot side decodes its own encoding of a packet."""
     said = RobotMessage(packet.seqno, packet.tm_ms, packet.q, utilization=packet.utilization)
     heard = EgmCodec(arm).decode(RobotSideCodec(arm, "6.10").encode_robot(said))
     assert isinstance(heard, Packet), heard
@@ -72,7 +72,7 @@ def _said_again(arm: Any, packet: Packet) -> None:
 
 
 def egm_sensor(data: bytes) -> None:
-    """Reply to the robot; the bridge must reproduce its references when it encodes them."""
+    """Reply to the robot; the bridge must reproduce its references when encoding them."""
     arm = _arm(data[0] if data else 0)
     side = RobotSideCodec(arm)
     found = side.decode_sensor(data[1:])
@@ -85,7 +85,7 @@ def egm_sensor(data: bytes) -> None:
 
 
 def egm_session(data: bytes) -> None:
-    """Packets, each preceded by a port and a time of two bytes."""
+    """Packets, each preceded by a two-byte port and a two-byte time."""
     session, ns = Session(EgmCodec(_arm(data[0] if data else 0))), 10**12
     for piece in pieces(data[1:]):
         if len(piece) >= 2:
@@ -97,7 +97,7 @@ def egm_session(data: bytes) -> None:
 
 
 def labcomm(data: bytes) -> None:
-    """Stream in one piece and in many: equal events and faults; equal events after re-encoding; also read as a log."""
+    """Stream fed in one piece and in many: equal events, faults and re-encoded events; also read as a log."""
     cut, stream = 1 + (data[0] if data else 0), data[1:]
     whole, fault = _events(stream, len(stream) + 1)
     parts, same = _events(stream, cut)
@@ -151,7 +151,7 @@ def _language(text: str) -> None:
 
 
 def definitions(data: bytes) -> None:
-    """LabComm declarations, or the definition of a ROS message type with a CDR message after NUL."""
+    """LabComm declarations, or the definition of a ROS message type followed by NUL and a CDR message."""
     text, _, raw = data.partition(b"\0\0")
     _language(text.decode(errors="replace"))
     name = "a/msg/B"

@@ -1,14 +1,14 @@
-"""Mutation tests of the files that move the robot: `python mutation/run.py [WORD ...] [--again]`, with words of paths.
+"""Mutation tests of the files that move the robot: `python mutation/run.py [WORD ...] [--again]`.
 
-A single pytest session collects the tests. For each mutant, this process forks. The child substitutes the mutant in its
-own memory, without changing any file, and runs the tests that call the changed function, fastest first, until one
-fails. A surviving mutant must be listed in `survivors.toml` with the reason why no test can distinguish it from the
-original; so must a mutant that could not be substituted. Status 0 means that tests have judged all mutants of the
-files.
+WORDs select files by parts of their paths. A single pytest session collects the tests, and this process forks for each
+mutant. The child substitutes the mutant in its own memory, without changing any file, and runs the tests that call the
+changed function, fastest first, until one fails. A mutant that survives or cannot be substituted must be listed in
+`survivors.toml` with the reason why no test can distinguish it from the original. Status 0 means that all mutants of
+the files were tested and are killed or explained.
 
 mutmut generates the mutants but does not run them. It imports a copy of `src`, which the import hook of the editable
-installation overrides. It omits constants and decorated functions, and it numbers the survivors, so that an explanation
-would belong to a different mutant after the next edit.
+installation overrides. It omits constants and decorated functions. It also numbers the survivors, so the number of an
+explained mutant would change with the next edit.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa:
 
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
 BRIDGE = "src/armlab/bridge"
-FILES = {  # each with the tests that check it
+FILES = {  # file: its tests
     f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/commands"],
     f"{BRIDGE}/control/torque.py": ["bridge/control/commands", "bridge/control/limits", "bridge/control/state_machine"],
     f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
@@ -51,11 +51,11 @@ FILES = {  # each with the tests that check it
     f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm"],
     "native/math/motion/limits.cpp": ["kernels/limits"],
 }
-MARKED, NAMED = "not slow", "not (simulated or follows[)"  # excludes tests of complete simulated runs, which are slow
-NONE, FAILED = ("same", "no program"), "harness failed"  # outcomes that are not a mutant, or not a judgement
+MARKED, NAMED = "not slow", "not (simulated or follows[)"  # excludes slow tests of complete simulated runs
+NONE, FAILED = ("same", "no program"), "harness failed"  # outcomes without a mutant; outcome without a verdict
 KINDS = "killed", "survived", "not reached", FAILED
 CRASHES = -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL
-PATIENCE, AT_LEAST = 10.0, 5.0  # factor on the time of a test without a mutant, and an offset [s]
+PATIENCE, AT_LEAST = 10.0, 5.0  # time limit: factor on the time without a mutant, and offset [s]
 
 
 class Runner:
@@ -67,12 +67,10 @@ class Runner:
         self.failed = False
 
     def pytest_sessionstart(self) -> None:
-        from hypothesis import Phase, settings  # not before pytest, which rewrites it
+        from hypothesis import Phase, settings  # after pytest, which rewrites its assertions
 
         usual = settings.get_profile("armlab")
-        settings.register_profile(
-            "mutants", usual, phases=[Phase.explicit, Phase.generate]
-        )  # one failure is sufficient
+        settings.register_profile("mutants", usual, phases=[Phase.explicit, Phase.generate])  # one failure suffices
         settings.load_profile("mutants")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -80,11 +78,11 @@ class Runner:
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         if session.testsfailed:
-            raise SystemExit("Expected tests that can be collected, got errors. Run them with pytest.")
+            raise SystemExit("Expected to collect the tests, got errors. Run them with pytest.")
         modules = {file: importlib.import_module(_module(file)) for file in self.files}
         watched = {one.__code__ for module in modules.values() for one in codes(module).values()}
         gc.collect()
-        gc.freeze()  # memory that a child does not modify is shared
+        gc.freeze()  # keeps memory shared with the children
         told, _ = forked(lambda: self.without(session.items, watched))
         calls = json.loads(told or "null")
         if calls is None:
@@ -115,7 +113,7 @@ class Runner:
             print(told, flush=True)
 
     def without(self, items: list[pytest.Item], watched: set[CodeType]) -> str:
-        """Run all tests without a mutant; return the time [s] and called functions of each, or nothing on failure."""
+        """Run all tests without a mutant; return the time [s] and called functions of each, or "" on failure."""
         found = {}
         for item, following in zip(items, [*items[1:], None], strict=True):
             called: set[CodeType] = set()
@@ -136,7 +134,7 @@ class Runner:
         return json.dumps(found)
 
     def outcome(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> str:
-        """Run the tests that reach a mutant in a child process; return the outcome."""
+        """Run the tests that reach a mutant in a child process, and return the outcome."""
         try:
             names = place(mutant, module)
         except SyntaxError:
@@ -148,7 +146,7 @@ class Runner:
         if not seen:
             return "survived: no test calls it"
         for item, following in zip(seen, [*seen[1:], None], strict=True):
-            signal.setitimer(signal.ITIMER_REAL, AT_LEAST + PATIENCE * calls[item.nodeid][0])  # SIGALRM then ends it
+            signal.setitimer(signal.ITIMER_REAL, AT_LEAST + PATIENCE * calls[item.nodeid][0])  # SIGALRM ends the child
             try:
                 item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             except KeyboardInterrupt:
@@ -159,7 +157,7 @@ class Runner:
 
 
 def place(mutant: Mutant, module: ModuleType) -> str | set[str] | None:
-    """Substitute a mutant; return the names of the code whose tests reach it (None: all), or the cause of a failure.
+    """Substitute a mutant; return the names of code objects whose tests reach it (None: all), or why it failed.
 
     Raises
     ------
@@ -190,28 +188,28 @@ def tests(file: str) -> list[Path]:
 
 
 def name(code: CodeType) -> str:
-    """Return the name of a code object, which is the same in each process."""
+    """Return a name of a code object that is the same in every process."""
     return f"{code.co_filename}:{code.co_firstlineno}:{code.co_qualname}"
 
 
 def key(mutant: Mutant) -> tuple[str, ...]:
-    """Return the key of the explanation of a mutant."""
+    """Return the key under which a mutant is explained."""
     return mutant.file, mutant.where, mutant.before, mutant.after
 
 
 def explained() -> set[tuple[str, ...]]:
-    """Return the mutants that no test can distinguish from the original."""
+    """Return the keys of the explained mutants."""
     found = tomllib.loads(EXPLAINED.read_text())["survivor"]
     return {(one["file"], one["where"], one["before"], one["after"]) for one in found}
 
 
 def forked(work: Callable[[], str]) -> tuple[str | None, int]:
-    """Return the result of `work` in a child process, or None if it did not finish, and the status of the child.
+    """Run `work` in a child process; return its result, or None if it did not finish, and the exit status.
 
     A negative status is the number of the signal that ended the process.
     """
     source, sink = os.pipe()
-    with warnings.catch_warnings(action="ignore"):  # the running threads hold no locks of armlab
+    with warnings.catch_warnings(action="ignore"):  # running threads hold no locks of armlab
         child = os.fork()
     if child == 0:
         status = 1
@@ -235,10 +233,10 @@ def forked(work: Callable[[], str]) -> tuple[str | None, int]:
 
 
 def main() -> int:
-    """Run the command line; return 1 if a mutant survived without an explanation, or was not judged."""
+    """Run the command line; return 1 if a mutant survived without an explanation, or was not tested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("words", nargs="*")
-    parser.add_argument("--again", action="store_true", help="only those that survived last time")
+    parser.add_argument("--again", action="store_true", help="test only the survivors of the last run")
     given = parser.parse_args()
     os.chdir(ROOT)
     files = [file for file in FILES if not given.words or any(word in file for word in given.words)]
@@ -251,7 +249,7 @@ def main() -> int:
     if is_whole:
         keep(files, runner.results)
     else:
-        print(f"Expected to judge all mutants, got {ended!r} from pytest after {len(runner.results)}. Run it again.")
+        print(f"Expected to test all mutants, got {ended!r} from pytest after {len(runner.results)}. Run it again.")
     status = report(files, runner.results) or int(not is_whole)
     print(f"{time.monotonic() - start:.0f} s")
     return status

@@ -1,1 +1,1 @@
-"""Soak tests: hours of operation with all servers, monitored for growth of memory, descriptors, threads and delays."""
+"""Soak tests: hours of operation with all servers, monitored for growth in memory, descriptors, threads and delays."""

@@ -1,7 +1,7 @@
-"""Soak test in real time: `armlab bridge` with two arms and all servers, and ten clients, one of which commands.
+"""Real-time soak test: `armlab bridge` with two arms, all servers, and ten clients, one of which commands.
 
 The simulated arms have no masses, and the commanding client sleeps until a row arrives, because two cores must run
-everything. With a real robot, neither would use the cores of the bridge.
+all programs. With a real robot, neither would use the bridge computer's cores.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["ARMS", "COMMANDER", "run"]
 
 ARMS = ("yumi_left", "yumi_right")
 COMMANDER = "commander"
-_LOOKS = 300  # samples of the processes in a run
+_LOOKS = 300  # samples per process and run
 _SERVED = "ros2", "rmw_zenoh", "zenoh", "rosbridge", "plotjuggler", "labcomm", "local"  # and ros1 if installed
 
 
@@ -36,7 +36,7 @@ def run(folder: Path, seconds: float) -> dict[str, Any]:
 
     Parameters
     ----------
-    folder : for all output. seconds : measured duration [s].
+    folder : output folder. seconds : measured duration [s].
     """
     with ExitStack() as opened:
         ways = [way for name in ONE_EACH if (way := WAYS[name](opened)) is not None]
@@ -95,14 +95,14 @@ def _cell(ways: Sequence[Way], record: Path) -> str:
     text = f'commands = ["zenoh"]\nrecord = "{record}"\n'
     text += "".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}?lagging=true"\n' for name in ARMS)
     for way in ways:
-        if way.server != "local":  # every cell has this server
+        if way.server != "local":  # present in every cell
             table = way.table.replace(f"{ARMS[0]} = 0", ", ".join(f"{name} = 0" for name in ARMS))
             text += f"[servers.{way.server}]\n{table}\n"
     return text
 
 
 def _readers(ways: Sequence[Way], folder: Path) -> Iterator[Program]:
-    """Return the command of a reader for each server, and of a `ZenohFeed` as a second reader over Zenoh."""
+    """Yield a reader for each server, and a `ZenohFeed` as a second reader over Zenoh."""
     for way in ways:
         yield Program(f"reader of {way.server}", way.reader(0), folder, way.environment)
     words = [sys.executable, str(HERE.parent / "benchmarks" / "path_feed.py"), "zenoh", _zenoh(ways), "0"]
@@ -110,7 +110,7 @@ def _readers(ways: Sequence[Way], folder: Path) -> Iterator[Program]:
 
 
 def _commands(ways: Sequence[Way], folder: Path) -> list[str]:
-    """Return the command of the program that moves both arms."""
+    """Return the command that starts the program moving both arms."""
     words = [sys.executable, "-m", "armlab", "run", "+".join(ARMS), str(HERE / "sway.py")]
     words += ["--link", ",".join(len(ARMS) * [f"{_zenoh(ways)}/lab"]), "--wait", "block"]
     return [*words, "--log", str(folder / COMMANDER)]

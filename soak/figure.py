@@ -12,7 +12,7 @@ from soak.series import Held, Recorded
 
 __all__ = ["draw"]
 
-_POINTS = 300  # of a line
+_POINTS = 300  # per curve
 
 
 def draw(
@@ -26,7 +26,7 @@ def draw(
 
     Parameters
     ----------
-    about, held, recorded, clients : see `series`. path : of the figure.
+    about, held, recorded, clients : see `series`. path : output file.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ def draw(
         if clients:
             _clients(*rows[2], clients, recorded)
         for ax in rows[-1]:
-            ax.set_xlabel("time of the wall clock [min]")
+            ax.set_xlabel("wall-clock time [min]")
         figure.legend(*rows[0][0].get_legend_handles_labels(), loc="outside right upper")
         figure.suptitle(f"Soak, {about['part']}, {about['date']}")
         figure.savefig(path, dpi=110)
@@ -70,6 +70,6 @@ def _clients(ax: Any, other: Any, clients: Mapping[str, np.ndarray], recorded: M
 
 
 def _finish(ax: Any, text: str, columns: int) -> None:
-    """Leave space for the legend above the lines."""
+    """Leave space for the legend above the curves."""
     ax.set(ylabel=text, ylim=(0.0, max(1.6 * ax.get_ylim()[1], 1e-3)))
     ax.legend(fontsize=6, ncols=columns, loc="upper center")

@@ -12,10 +12,10 @@ from soak.verdict import Finding
 
 __all__ = ["judged"]
 
-_SHORT = 0.02  # share of the requested or actual duration that may be missing at the end
+_SHORT = 0.02  # share of the requested duration that may be missing, and of the actual duration without samples
 _STILL = 10.0  # s before the end within which every client must still receive messages
 _PERIOD = 0.004032  # s between two packets of an arm
-_KEPT_UP = 5.0  # % of the packets that a simulator may skip for lack of a core; above it, the run was not in real time
+_KEPT_UP = 5.0  # % of packets that a simulator may skip; above it, the run was not in real time
 
 
 def judged(
@@ -47,7 +47,7 @@ def _watched(about: Mapping[str, Any]) -> float:
 
 
 def _length(about: Mapping[str, Any], recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
-    """Assess the duration, which in lockstep is measured by robot time."""
+    """Assess the duration; in lockstep, it is robot time."""
     robot = max((one.seconds for one in recorded.values()), default=0.0)
     reached = robot if about.get("part") == "lockstep" else _watched(about)
     short = 1.0 - reached / about.get("seconds", np.nan)

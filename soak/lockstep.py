@@ -1,4 +1,4 @@
-"""Soak test in lockstep: `armlab run` and a simulated arm run as fast as they can and write one recording."""
+"""Lockstep soak test: `armlab run` and a simulated arm run as fast as possible and write one recording."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from soak.programs import Program
 __all__ = ["LINK", "run"]
 
 LINK = "sim://yumi_left?lockstep=true&lagging=true"
-"""Both ends of EGM over UDP; the arm has no masses, because its dynamics would take half of the time."""
+"""Both ends of EGM over UDP; the arm has no masses, because its dynamics would take half of the processor time."""
 
-_LOOK = 2.0  # s between two samples of the processes, at most, so that the last sample is near the end
+_LOOK = 2.0  # s, maximum sampling period, so the last sample is near the end
 
 
 def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
 
     Parameters
     ----------
-    folder : for all output. seconds : robot time [s]. most : wall-clock time after which the test is aborted [s].
+    folder : output folder. seconds : robot time [s]. most : wall-clock limit [s].
     """
     sway = Path(__file__).with_name("sway.py")
     words = [sys.executable, "-m", "armlab", "run", "yumi_left", str(sway), "--link", LINK]
@@ -60,7 +60,7 @@ def _wait(program: Program, watch: Watch, folder: Path, most: float) -> str:
     begin = time.monotonic()
     reported = begin
     try:
-        print("  Running; Ctrl-C aborts the run, which is then assessed all the same.", flush=True)
+        print("  Running; Ctrl-C aborts the run, which is still assessed.", flush=True)
         while (status := program.process.poll()) is None:
             if time.monotonic() - begin > most:
                 return "--most"

@@ -1,4 +1,4 @@
-"""Page of the documentation, generated from the results of both parts."""
+"""Documentation page generated from the results of both parts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def page(text: str, results: Mapping[str, Mapping[str, Any]]) -> str:
 
     Parameters
     ----------
-    text : of the page. results : `result.json` by part, "real_time" and "lockstep"; missing parts are kept.
+    text : page text. results : `result.json` by part, "real_time" and "lockstep"; missing parts stay unchanged.
     """
     for name, result in results.items():
         before, rest = text.split(f"<!-- {name} -->\n")

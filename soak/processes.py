@@ -1,6 +1,6 @@
-"""Resources of processes: private memory, descriptors, threads and processor time of a program and its descendants.
+"""Resources of a program and its descendants: private memory, descriptors, threads and processor time.
 
-Memory is anonymous (heap, stacks) or swapped memory; mapped file pages depend on the cache.
+Memory is anonymous (heap, stacks) or swapped; mapped file pages are excluded, because they depend on the cache.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["COLUMNS", "Sample", "Watch", "family", "held", "label"]
 
 HEAD = "t,process,memory,descriptors,threads,cpu"
 COLUMNS = ("memory", "descriptors", "threads")
-"""Assessed quantities of a process."""
+"""Assessed quantities per process."""
 
 
 class Sample(NamedTuple):
@@ -74,7 +74,7 @@ def label(pid: int, root: int) -> str:
 
 
 class Watch:
-    """Context manager that writes samples of processes to a file from a thread, every few seconds and at the end.
+    """Context manager that samples processes into a file from a thread, every few seconds and at the end.
 
     Parameters
     ----------
@@ -110,13 +110,13 @@ class Watch:
 
     def _check(self) -> None:
         if self._error is not None:
-            text = f"Expected to sample the processes until the end, got {self._error!r}. Run the test again."
+            text = f"Expected to sample the processes until the end, got {self._error!r}. Rerun the test."
             raise ArmlabError(text) from self._error
 
     def _run(self) -> None:
         try:
             self._look_again_and_again()
-        except Exception as error:  # of any kind: reported to the waiting caller
+        except Exception as error:  # any error is reported to the waiting caller
             self._error = error
 
     def _look_again_and_again(self) -> None:

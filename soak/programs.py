@@ -1,4 +1,4 @@
-"""Programs started by a soak test, with output in files; no program outlives the test."""
+"""Programs started by a soak test, with output to files; none outlives the test."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Program:
             time.sleep(_LOOK)
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Terminate the program, wait for its end, and return its exit status.
+        """Terminate the program, wait for it to exit, and return its exit status.
 
         Raises
         ------

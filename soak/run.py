@@ -7,7 +7,7 @@
 
 All measurements are written to build/soak/PART: `held.csv`, the recordings, `result.json` and `soak.png`. The test
 prints a line for each assessed quantity, and exits with status 1 if one is out of bounds. Ctrl-C, SIGTERM and --most
-abort the run; it is then assessed all the same, reported as "cut off", and exits with status 1.
+abort the run. It is still assessed, is reported as "cut off", and exits with status 1.
 """
 
 from __future__ import annotations
@@ -86,12 +86,12 @@ def judge(folder: Path) -> int:
     for name, one in result["recordings"].items():
         print(f"     {name}: {100.0 * one['missed']:.3f} % of the ticks missed or late")
     failed = [one for one in found if not one.is_met]
-    print(f"{len(found) - len(failed)} of {len(found)} quantities within their bounds. Results: {folder}.")
+    print(f"{len(found) - len(failed)} of {len(found)} quantities within bounds. Results: {folder}.")
     return 1 if failed else 0
 
 
 def publish(folders: Sequence[Path]) -> None:
-    """Write results and figures into the page of the documentation."""
+    """Write results and figures into the documentation page."""
     results = {}
     for folder in folders:
         result = json.loads((folder / "result.json").read_text())

@@ -1,4 +1,4 @@
-"""Measurements of a soak test as time series: processes, recorded ticks, clients."""
+"""Time series measured in a soak test: processes, recorded ticks, clients."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from soak.processes import COLUMNS
 
 __all__ = ["Held", "Recorded", "clients", "description", "held", "levels", "recorded"]
 
-_STRETCHES = 200  # of a run, for the latency of the loop
-_SHORTEST = 0.5e9  # ns, length of a segment
+_STRETCHES = 200  # segments per run, for the latency of the loop
+_SHORTEST = 0.5e9  # ns, minimum segment length
 
 
 class Held(NamedTuple):
-    """Samples of one process: times [s], and (N,) arrays named as in `processes.COLUMNS`, and "cpu" [s]."""
+    """Samples of one process: times [s], and (N,) arrays by name: "cpu" [s] and `processes.COLUMNS`."""
 
     t: np.ndarray
     values: Mapping[str, np.ndarray]
 
 
 class Recorded(NamedTuple):
-    """One recording: for each segment, its end [s], percentiles of arrival to reply [s], and the share of missed ticks.
+    """One recording: per segment, its end [s], percentiles of arrival to reply [s], and the share of missed ticks.
 
     Attributes
     ----------
-    rows : number of readable rows. summary : numbers at the end of the recording. is_whole : whether it was finished.
-    events : texts of its events. seconds : robot time [s].
+    rows : number of readable rows. summary : final statistics of the recording. is_whole : whether it was finished.
+    events : event texts. seconds : robot time [s].
     """
 
     t: np.ndarray
@@ -47,7 +47,7 @@ class Recorded(NamedTuple):
 
 
 def description(folder: Path) -> dict[str, Any]:
-    """Return the description of a run: beginning and end of monitoring, "begin" and "end" [ns], and more."""
+    """Return the description of a run, including "begin" and "end" of monitoring [ns]."""
     return json.loads((folder / "description.json").read_text())
 
 
@@ -93,7 +93,7 @@ def _recorded(path: Path, begin: int, end: int) -> Recorded:
 
 
 def clients(folder: Path) -> dict[str, np.ndarray]:
-    """Return (N, 4) by client: time [s], messages, and median and longest delay from stamp to receipt [s]."""
+    """Return (N, 4) per client: time [s], messages, and median and longest delay from stamp to receipt [s]."""
     about, found = description(folder), {}
     for name in about.get("clients", ()):
         lines = (folder / f"{name}.out").read_text().splitlines()
@@ -108,7 +108,7 @@ def clients(folder: Path) -> dict[str, np.ndarray]:
 def levels(
     held: Mapping[str, Held], recorded: Mapping[str, Recorded], clients: Mapping[str, np.ndarray]
 ) -> dict[str, dict[str, Any]]:
-    """Return the reported numbers of each process, recording and client: medians of the last quarter, and counts."""
+    """Return the reported numbers per process, recording and client: medians over the last quarter, and counts."""
     return {
         "robot_seconds": {name: one.seconds for name, one in recorded.items()},
         "held": {

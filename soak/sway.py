@@ -7,8 +7,8 @@ import numpy as np
 from armlab.state import Command, State
 
 SPEED = 0.1  # rad/s, largest speed
-SLOWEST = 0.05  # Hz, of the first joint; each further joint sways faster
-RETURN = 0.2  # 1/s: removes the deviation caused while another client commands the arm
+SLOWEST = 0.05  # Hz, frequency of the first joint; each further joint sways faster
+RETURN = 0.2  # 1/s, rate that removes the deviation caused by other commanding clients
 
 
 class Sway:

@@ -1,8 +1,8 @@
 """Detection of growth in measurements on a shared machine.
 
-Memory comes from the kernel in steps, and single delays vary randomly, so neither the last nor the largest value is
-significant. The tests therefore use the median slope of memory in the second half, medians of descriptors and threads,
-and minima of delays, which other load on the machine cannot reduce.
+The kernel provides memory in steps, and single delays vary randomly, so neither the last nor the largest value is
+significant. The tests use the median slope of memory in the second half, medians of descriptors and threads, and minima
+of delays, which other load on the machine cannot reduce.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 __all__ = ["ARENA", "Finding", "LATER", "MARGIN", "count", "delay", "equal", "growth", "memory"]
 
 ARENA = 2**20
-"""Size of the pieces in which Python takes memory from the kernel [B]."""
+"""Size of the arenas that Python requests from the kernel [B]."""
 
 LATER = 1.5
-"""Largest ratio of the minimum delay in the last quarter to that in the second."""
+"""Largest allowed ratio of the minimum delay in the last quarter to the minimum in the second quarter."""
 
 MARGIN = 100e-6
 """Increase of the minimum delay that is always allowed [s]: a few time slices of the scheduler."""
@@ -45,11 +45,11 @@ class Finding(NamedTuple):
 
 
 def growth(t: np.ndarray, values: np.ndarray) -> float:
-    """Return the growth of a series in its second half: the median slope (Theil-Sen) times the duration.
+    """Return the growth of a series over its second half: the median slope (Theil-Sen) times the duration.
 
     Parameters
     ----------
-    t, values : (N,) times and values. Fewer than four in the second half: NaN.
+    t, values : (N,) times and values. Fewer than four values in the second half give NaN.
     """
     half = t >= 0.5 * (t[0] + t[-1]) if len(t) else np.zeros(0, bool)
     t, values = t[half], values[half]
@@ -63,21 +63,21 @@ def growth(t: np.ndarray, values: np.ndarray) -> float:
 
 
 def memory(what: str, t: np.ndarray, bytes_held: np.ndarray) -> Finding:
-    """Assess memory: in half the duration, it may grow by two of the pieces in which it is allocated."""
+    """Assess memory: over the second half, it may grow by two arenas."""
     grown = growth(t, bytes_held)
     return Finding(f"{what}: memory, growth in the second half", " MiB", grown / 2**20, 2 * ARENA / 2**20)
 
 
 def count(what: str, values: np.ndarray) -> Finding:
-    """Assess descriptors or threads: the median of the last quarter must not exceed that of the second."""
+    """Assess descriptors or threads: the median in the last quarter must not exceed the median in the second."""
     before, after = _quarters(values, np.median)
     return Finding(f"{what}, median of the last quarter", "", after, before)
 
 
 def delay(what: str, seconds: np.ndarray) -> Finding:
-    """Assess delays, one per segment: compare the minimum of the last quarter with that of the second."""
+    """Assess delays, one per segment: compare the minimum in the last quarter with the minimum in the second."""
     before, after = _quarters(seconds, np.min)
-    return Finding(f"{what}, least in the last quarter", " ms", 1e3 * after, 1e3 * (LATER * before + MARGIN))
+    return Finding(f"{what}, minimum in the last quarter", " ms", 1e3 * after, 1e3 * (LATER * before + MARGIN))
 
 
 def equal(what: str, found: float, wanted: float) -> Finding:
@@ -86,7 +86,7 @@ def equal(what: str, found: float, wanted: float) -> Finding:
 
 
 def _quarters(values: np.ndarray, reduce: Callable[[np.ndarray], Any]) -> tuple[float, float]:
-    """Return one statistic of the second quarter and of the last; NaN for too few points."""
+    """Return one statistic of the second and last quarters; NaN if there are too few points."""
     if len(values) < 4:
         return float("nan"), float("nan")
     quarters = np.array_split(np.asarray(values, dtype=float), 4)

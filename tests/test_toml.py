@@ -18,7 +18,7 @@ def test_tables() -> None:
     ("text", "told"),
     [
         ("a =", "Invalid value"),
-        ("a = 9223372036854775808", "an integer of 64 bits and a sign, although TOML allows 63"),
+        ("a = 9223372036854775808", "an integer of 64 bits plus sign, although TOML allows 63"),
         ("[[a]]\nb = {c = [-1" + "0" * 400 + "]}", "an integer of 1329 bits"),
         ("a = " + "1" * 5000, "4300 digits"),
         ("a = " + "[" * 5000 + "]" * 5000, "recursion"),

@@ -59,7 +59,7 @@ static void require_finite_from(
   for (npy_intp i = 0; i < count; ++i)
     if (!((zero ? values[i] >= 0.0 : values[i] > 0.0) && std::isfinite(values[i])))
       raise_shape_error(std::string("Expected finite ") + name + range +
-                        ", got another at number " + std::to_string(i) + ". Correct it.");
+                        ", got an invalid value at number " + std::to_string(i) + ". Correct it.");
 }
 
 void require_positive(const char *name, const double *values, npy_intp count) {
@@ -104,7 +104,7 @@ Input::Input(nb::handle value, const char *name) : name_(name) {
     array_ = nb::borrow(value);
     return;
   }
-  // First as the type it has: NumPy would read None as NaN and texts of digits as numbers.
+  // Convert without a dtype first: NumPy would read None as NaN and strings of digits as numbers.
   nb::object any = nb::steal(PyArray_FromAny(value.ptr(), nullptr, 0, 0, 0, nullptr));
   PyObject *converted = nullptr;
   if (any && PyArray_CanCastSafely(PyArray_TYPE(as_array(any)), NPY_DOUBLE))
@@ -117,7 +117,7 @@ Input::Input(nb::handle value, const char *name) : name_(name) {
     PyErr_Clear();
     raise_shape_error(std::string("Expected ") + name + " to be an array of real numbers, got " +
                       Py_TYPE(value.ptr())->tp_name +
-                      " that does not convert to float64. Give a NumPy array or nested "
+                      " that does not convert to float64. Pass a NumPy array or nested "
                       "lists of equal length.");
   }
   array_ = nb::steal(converted);
@@ -186,7 +186,7 @@ nb::handle part_of(nb::handle out, std::size_t k, std::size_t count) {
   if (count == 1 || out.is_none()) return out;
   if (!PyTuple_Check(out.ptr()) || PyTuple_GET_SIZE(out.ptr()) != static_cast<npy_intp>(count))
     raise_shape_error("Expected out to be a tuple of " + std::to_string(count) +
-                      " arrays, one for each result, got something else.");
+                      " arrays, one for each result, got a different type or length.");
   return PyTuple_GET_ITEM(out.ptr(), k);
 }
 
@@ -206,18 +206,18 @@ Output::Output(nb::handle out, const char *name, const Tail &tail,
     raise_shape_error(std::string("Expected ") + name +
                       " to be a writable C-contiguous float64 array of shape " +
                       shape_text(shape, ndim) + ", got " + what_came +
-                      ". Make it with numpy.empty, or leave it out.");
+                      ". Create it with numpy.empty, or omit it.");
   };
-  if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY)) refuse("an object that is not");
+  if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY)) refuse("a different object");
   array_ = nb::borrow(out);
   if (PyArray_NDIM(pointer()) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(pointer())))
     refuse("shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())));
   for (const Samples *input : inputs)
     if (overlap(pointer(), input->data(), input->size()))
-      refuse(std::string("one that shares memory with ") + input->name());
-  // Outputs too large for the caches are written with streaming stores: half the time for a
-  // million Jacobians. Not for fresh memory, whose pages the system leaves in a cache after
-  // clearing.
+      refuse(std::string("an array that shares memory with ") + input->name());
+  // Streaming stores halve the time for outputs too large for the caches, such as a million
+  // Jacobians. They do not help fresh memory, because the system has just cleared its pages, which
+  // are still in a cache.
   const auto address = reinterpret_cast<std::uintptr_t>(PyArray_DATA(pointer()));
   streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
 }
@@ -225,16 +225,16 @@ Output::Output(nb::handle out, const char *name, const Tail &tail,
 void Output::require_apart_from(std::initializer_list<const Input *> inputs) const {
   for (const Input *input : inputs)
     if (overlap(pointer(), input->data(), input->size()))
-      raise_shape_error(
-          std::string("Expected ") + name_ + " to be apart from " + input->name() +
-          ", got arrays that share memory. Make it with numpy.empty, or leave it out.");
+      raise_shape_error(std::string("Expected ") + name_ + " not to share memory with " +
+                        input->name() +
+                        ", got overlapping arrays. Create it with numpy.empty, or omit it.");
 }
 
 void Output::require_apart_from(const Output &other) const {
   if (overlap(pointer(), numbers(other.array_), PyArray_SIZE(other.pointer())))
     raise_shape_error(std::string("Expected ") + name_ + " and " + other.name_ +
-                      " to be apart, got arrays that share memory. Make each with numpy.empty, or "
-                      "leave them out.");
+                      " not to share memory, got overlapping arrays. Create each with numpy.empty, "
+                      "or omit them.");
 }
 
 }  // namespace armlab

@@ -1,8 +1,7 @@
-// NumPy arrays in and out of the kernels.
+// Conversion between NumPy arrays and kernel arguments.
 //
-// Fresh arrays come from the NumPy C-API (about 0.1 us; nanobind's ndarray takes 0.4 us). Arguments
-// are validated here, once; errors are armlab.errors.ShapeError with one sentence: expected, got,
-// advice.
+// The NumPy C-API creates arrays in about 0.1 us (nanobind's ndarray takes 0.4 us). Arguments are
+// validated only here. Errors are one-sentence armlab.errors.ShapeError: expected, got, advice.
 #pragma once
 
 #define PY_ARRAY_UNIQUE_SYMBOL armlab_numpy_api
@@ -30,12 +29,12 @@ namespace armlab {
 
 using nb::arg;
 
-[[noreturn]] void raise(const char *error, const std::string &sentence);  // of armlab.errors
+[[noreturn]] void raise(const char *error, const std::string &sentence);  // class in armlab.errors
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
 class Input;
 
-// Rejects numbers that are not finite, or not above zero, or below it.
+// Reject numbers that are not finite; the second and third also reject numbers <= 0 and < 0.
 void require_finite(const Input &input);
 void require_positive(const char *name, const double *values, npy_intp count);
 void require_not_negative(const char *name, const double *values, npy_intp count);
@@ -43,10 +42,10 @@ void require_not_negative(const char *name, const double *values, npy_intp count
 // The argument `threads`: an integer from 1 to max_threads, otherwise armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 
-// An array argument; None passes nanobind, and is rejected by `Input`.
+// An array argument. nanobind accepts None, which `Input` then rejects.
 inline auto array(const char *name) { return nb::arg(name).none(); }
 
-// name[i, j]: sample `number` of a batch of `axes` axes; the name alone without a batch.
+// name[i, j] of sample `number` in a batch with `axes` axes; only the name if there is no batch.
 std::string place(const std::string &name, npy_intp number, const npy_intp *shape, int axes);
 
 inline PyArrayObject *as_array(nb::handle array) {
@@ -61,13 +60,13 @@ inline nb::object fresh_array(std::initializer_list<npy_intp> shape, const doubl
 }
 nb::object fresh_mask(int n, const bool *values);
 
-// The memory of a fresh array.
+// The data of a fresh array.
 template <class Number = double>
 Number *numbers(const nb::object &array) {
   return static_cast<Number *>(PyArray_DATA(as_array(array)));
 }
 
-// A C-contiguous float64 array for reading: the argument itself if possible, else a copy.
+// A C-contiguous float64 array for reading: the argument itself if possible, otherwise a copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
@@ -84,7 +83,7 @@ class Input {
   npy_intp size() const { return PyArray_SIZE(array()); }
   std::string shape_text() const;
 
-  // Refers to a copy of the numbers from now on, and returns it.
+  // Replaces the array by a copy, and returns the copy.
   const nb::object &copy() { return array_ = fresh_array(ndim(), shape(), data()); }
 
   void require_exactly(std::initializer_list<npy_intp> shape) const;
@@ -97,14 +96,14 @@ class Input {
   const char *name_;
 };
 
-// Samples of any shape, given as (..., tail): the leading axes are the batch, which outputs keep.
+// Samples of shape (..., tail). The leading axes are the batch; outputs have the same batch axes.
 struct Samples : Input {
   Samples(nb::handle value, const char *name, std::initializer_list<npy_intp> tail);
 
   int batch_axes() const { return ndim() - tail_axes_; }
   Reading samples() const { return {data(), width_}; }
 
-  // Broadcasts the leading axes of all, by the rules of NumPy.
+  // Broadcasts the leading axes by the rules of NumPy.
   static void broadcast(std::initializer_list<Samples *> samples);
 
  private:
@@ -112,7 +111,7 @@ struct Samples : Input {
   int width_;
 };
 
-// The shape of a kernel result per sample.
+// The shape of a kernel result for one sample.
 struct Tail {
   npy_intp shape[3];
   int axes;
@@ -130,7 +129,7 @@ class Output {
   Output(nb::handle out, const char *name, const Tail &tail,
       std::initializer_list<const Samples *> inputs);
 
-  // The inputs that are not samples, and the other outputs.
+  // Reject overlap with inputs that are not samples, and with other outputs.
   void require_apart_from(std::initializer_list<const Input *> inputs) const;
   void require_apart_from(const Output &other) const;
 
@@ -148,8 +147,8 @@ class Output {
   bool streams_ = false;
 };
 
-// Runs a kernel over all samples of `first`, without the GIL if that pays, in `threads` threads if
-// each gets enough work. There are several parts per thread to balance the load, but large ones:
+// Runs a kernel over all samples of `first`. Releases the GIL and uses up to `threads` threads if
+// the work is large enough. Several parts per thread balance the load; they are large, because
 // threads that write to the same page of fresh memory both have to clear it.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 void compute(const Samples &first, const std::array<Reading, Ins> &ins,
@@ -167,11 +166,11 @@ void compute(const Samples &first, const std::array<Reading, Ins> &ins,
   });
 }
 
-// Array k of the `count` given as `out`; None if that is None.
+// Array k of the tuple `out` of `count` arrays; None if `out` is None.
 nb::handle part_of(nb::handle out, std::size_t k, std::size_t count);
 
-// kernel(in, out) over the samples of `given`, whose leading axes broadcast: returns the array, or
-// the tuple of arrays, of shapes `tails` per sample. `fixed` are the inputs that are not samples.
+// Runs kernel(in, out) over the samples of `given`, whose leading axes broadcast. Returns the array
+// or tuple of arrays with shapes `tails` per sample. `fixed`: inputs that are not samples.
 template <std::size_t Outs, class Kernel, class... Given>
 nb::object over(nb::handle out, const std::array<Tail, Outs> &tails,
     std::initializer_list<const Input *> fixed, int threads, const Kernel &kernel,
@@ -197,7 +196,7 @@ nb::object over(nb::handle out, const std::array<Tail, Outs> &tails,
 }
 
 // Each topic binds its own kernels: bind_chain(m), ...
-// clang-format off: a table
+// clang-format off: table
 #define ARMLAB_TOPICS(DO) \
   DO(chain) DO(datagrams) DO(drive) DO(egm) DO(estimator) DO(inverse) DO(lie) DO(limits) \
   DO(messages) DO(obstacles) DO(primitive) DO(rigid_body) DO(row_encoder) DO(row_packer) \

@@ -1,5 +1,5 @@
-// Runs a kernel over the samples of a batch, four samples side by side, in threads that exist for
-// one call: no pool and no global state that a fork could break.
+// Runs a kernel over a batch, four samples side by side. Threads exist only during one call: a fork
+// cannot break a thread pool or global state.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +18,7 @@
 
 namespace armlab {
 
-// `width` doubles per sample, samples one after the other.
+// `width` doubles per sample; samples are contiguous.
 struct Reading {
   const double *data;
   int width;
@@ -26,12 +26,13 @@ struct Reading {
 struct Writing {
   double *data;
   int width;
-  bool streams = false;  // past the caches: of even width, aligned to 16 bytes
+  bool streams = false;  // bypass the caches; needs even width and 16-byte alignment
 };
 
 #ifdef ARMLAB_LANES
-// Four samples between rows in memory and `values`, whose values[i] holds element i of each. Blocks
-// of four by four are transposed in registers; the last block may overlap the one before.
+// Transfer four samples between rows in memory and `values`, where values[i] holds element i of
+// each sample. Blocks of four by four are transposed in registers; the last may overlap its
+// predecessor.
 typedef double Row __attribute__((vector_size(32), aligned(8)));
 
 #ifdef __clang__
@@ -78,7 +79,7 @@ ARMLAB_INLINE void write_rows(const Lanes *values, int width, double *rows) {
     for (int lane = 0; lane < 4; ++lane) rows[lane * width + i] = values[i].v[lane];
 }
 
-// The same with streaming stores, for Writing::streams. Inlined it would cost other batches 5 %.
+// Variant with streaming stores, for Writing::streams. Inlining it would cost other batches 5 %.
 #ifdef __SSE2__
 __attribute__((noinline)) inline void stream_rows(const Lanes *values, int width, double *rows) {
   for (int i = 0; i < width; i += 2)
@@ -114,7 +115,7 @@ void four_samples(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
   for (std::size_t k = 0; k < Outs; ++k, next += outs[k - 1].width) out[k] = next;
 
   for (std::ptrdiff_t sample = 0; sample < count; sample += width) {
-    if (sample > count - width) sample = count - width;  // the last four, some of them again
+    if (sample > count - width) sample = count - width;  // the last four, with repetition
     for (std::size_t k = 0; k < Ins; ++k)
       read_rows(ins[k].data + sample * ins[k].width, ins[k].width, in[k]);
     kernel(in, out);
@@ -142,10 +143,10 @@ __attribute__((target("avx512vl,avx512dq"), flatten)) void four_by_avx512(std::p
 #endif
 #endif
 
-// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and
-// `Real *`. It may be called for a sample twice. Single samples, and all samples on an x86-64
-// without AVX2, use plain code: compiling that too for each instruction set takes a third longer
-// and makes a single call at most 15 % faster.
+// Runs kernel(in, out), where in[k] and out[k] point to the values of one sample, as `const Real *`
+// and `Real *`. It may process a sample twice. Single samples, and all samples on an x86-64 without
+// AVX2, use code for the baseline instruction set. Compiling that code for each instruction set
+// would take a third longer and make a single call at most 15 % faster.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
     const std::array<Writing, Outs> &outs, Kernel kernel) {
@@ -167,13 +168,14 @@ void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
   }
 }
 
-constexpr int max_threads = 256;  // what an argument `threads` may be at most
+constexpr int max_threads = 256;  // upper limit of the argument `threads`
 
 // Calls work(begin, end) for the parts [0, grain), [grain, 2 grain), ... of [0, count), in up to
-// `threads` threads including the calling one; each takes the next part when it is free. Parts do
-// not depend on `threads`, so any number of threads gives the same bits. With one thread, or one
-// part, it is a single call work(0, count). `work` must not throw or use Python; release the GIL
-// before. Choose `grain` for parts of at least 0.1 ms: starting and joining a thread takes 30 us.
+// `threads` threads including the calling one; each thread takes the next part when it is free.
+// Parts do not depend on `threads`, so the results are bit-identical for any number of threads.
+// With one thread or one part, the only call is work(0, count). `work` must not throw or use
+// Python; release the GIL first. Choose `grain` for parts of at least 0.1 ms: starting and joining
+// a thread takes 30 us.
 template <class Work>
 void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const Work &work) {
   const std::ptrdiff_t parts = (count + grain - 1) / grain;
@@ -187,7 +189,7 @@ void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const
   try {
     for (std::thread &other : others) other = std::thread(take_parts);
   } catch (const std::system_error &) {
-    // the system has no more threads: continue with those already running
+    // no more threads are available: continue with those already running
   }
   take_parts();
   for (std::thread &other : others)

@@ -1,24 +1,24 @@
 // `Lanes`: the same quantity of four configurations side by side.
 //
-// Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do
-// the same operations in the same order and the compiler may not contract them, so a batch gives
-// the same bits as a loop over its samples, on every machine.
+// Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both
+// perform the same operations in the same order, and the compiler must not contract them. A batch
+// is therefore bit-identical to a loop over its samples, on every machine.
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 
-// Lanes need the vector extension of GCC and Clang. Other compilers, and builds with
-// ARMLAB_PLAIN, compile only the kernels over double, which give the same bits.
+// Lanes need the vector extension of GCC and Clang. Other compilers, and builds with ARMLAB_PLAIN,
+// compile only the double kernels, which give bit-identical results.
 #if defined(__GNUC__) && !defined(ARMLAB_PLAIN)
 #define ARMLAB_LANES
 #endif
 
-// Functions marked with ARMLAB_VECTORISED are compiled for several instruction sets, with all
-// callees; the loader selects one. With ARMLAB_DISPATCH, batch.h does so itself. Of AVX-512 only
-// the 32 registers are used, which saves a tenth of the time of a Jacobian. (Eight lanes would save
-// another 7 % there, but cost 10 % with the 16 registers of AVX2.)
+// Functions marked with ARMLAB_VECTORISED are compiled for several instruction sets, including all
+// callees, and the loader selects one. With ARMLAB_DISPATCH, batch.h selects it. From AVX-512, only
+// the 32 registers are used, which makes a Jacobian 10 % faster. (Eight lanes would save another
+// 7 %, but cost 10 % with the 16 registers of AVX2.)
 #ifdef ARMLAB_VECTORISED
 #elif defined(ARMLAB_LANES) && defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
 #define ARMLAB_DISPATCH
@@ -32,7 +32,8 @@
 #define ARMLAB_VECTORISED
 #endif
 
-// For functions with Lanes by value, whose passing depends on the instruction set: always inlined.
+// For functions with Lanes parameters by value: always inlined, because the calling convention
+// depends on the instruction set.
 #ifdef ARMLAB_LANES
 #define ARMLAB_INLINE inline __attribute__((always_inline))
 #else
@@ -77,12 +78,12 @@ ARMLAB_INLINE Lanes from_bits(Lanes::Bits bits) { return (Lanes::Doubles)bits; }
 ARMLAB_INLINE Lanes::Bits is_negative(Lanes::Bits bits) { return bits < 0; }
 #endif
 
-// Selection by a condition, lane by lane; a condition is bool for double and Lanes::Bits for Lanes.
+// Lane-by-lane selection; the condition is bool for double and Lanes::Bits for Lanes.
 ARMLAB_INLINE double select(bool condition, double yes, double no) { return condition ? yes : no; }
 ARMLAB_INLINE bool all(bool condition) { return condition; }
 ARMLAB_INLINE double square_root(double x) { return std::sqrt(x); }
 
-// The bits of a number, for the sine and cosine.
+// The bit pattern of a number, for sine and cosine.
 ARMLAB_INLINE std::uint64_t to_bits(double x) {
   std::uint64_t bits;
   std::memcpy(&bits, &x, sizeof bits);

@@ -26,7 +26,7 @@ bool any_missing(const double *m, int stride) {
   return false;
 }
 
-// The reason why a matrix is not a rotation, or nothing.
+// The reason why a matrix is not a rotation; empty if it is one.
 std::string fault(const double *m, int stride) {
   if (any_missing(m, stride)) return "";
   const Rotation<double> R = rotation_at(m, stride);
@@ -80,7 +80,7 @@ void refuse_no_rotation(const Samples &R, const std::string &name, int stride) {
       raise_shape_error(
           "Expected " + indexed(R, name, k) + " to be a rotation within " +
           number("%g", rotation_tolerance) + ", got " + came +
-          ". Project it first if that is what you want (lie.so3.project, lie.se3.project).");
+          ". Project it first if that is intended (lie.so3.project, lie.se3.project).");
   }
 }
 
@@ -93,9 +93,9 @@ void refuse_no_pose(const Samples &T, const std::string &name) {
       const double error = std::fabs(m[j] - (j == 15));
       off = error <= off || std::isnan(off) ? off : error;
     }
-    if (off > 0.0 || (std::isnan(off) && !any_missing(m, 4)))  // a NaN here alone would vanish
+    if (off > 0.0 || (std::isnan(off) && !any_missing(m, 4)))  // a NaN only here would be lost
       raise_shape_error("Expected (0, 0, 0, 1) as the last row of " + indexed(T, name, k) +
-                        ", got one off by " + number("%.3g", off) + ".");
+                        ", got an error of " + number("%.3g", off) + ".");
   }
 }
 

@@ -1,11 +1,11 @@
-// Argument checks of the Lie groups: rotations, poses, unit quaternions.
+// Argument checks for rotations, poses and unit quaternions.
 //
-// A rotation within `rotation_tolerance` passes: six decimals, single precision. One that is off by
-// more than `negligible` is replaced by the nearest rotation before it is used.
+// A rotation is accepted within `rotation_tolerance`, which admits six decimals or single
+// precision. If its error exceeds `negligible`, it is replaced by the nearest rotation before use.
 //
-// The pass over a batch includes a fast test with false alarms (NaN, for example). After an alarm,
-// each sample is checked alone, and the error names the first invalid one. NaN passes: missing
-// values stay missing.
+// The pass over a batch includes a fast test that may raise a false alarm (for NaN, for example).
+// After an alarm, each sample is checked alone, and the error names the first invalid one. NaN is
+// accepted: missing values stay missing.
 #pragma once
 
 #include "array/arrays.h"
@@ -13,9 +13,9 @@
 
 namespace armlab {
 
-constexpr double rotation_tolerance = 1e-5;  // of the largest entry of |R^T R - I|
-constexpr double negligible = 1e-9;          // of the same: below it, a rotation keeps its bits
-constexpr double unit_tolerance = 1e-3;      // of the length of a quaternion
+constexpr double rotation_tolerance = 1e-5;  // largest entry of |R^T R - I|
+constexpr double negligible = 1e-9;          // same measure: below it, a rotation is unchanged
+constexpr double unit_tolerance = 1e-3;      // error of a quaternion's length
 
 // The largest entry of |R^T R - I| of a finite R.
 double departure(const Rotation<double> &R);
@@ -24,8 +24,8 @@ void refuse_no_rotation(const Samples &R, const std::string &name, int stride = 
 void refuse_no_pose(const Samples &T, const std::string &name);
 void refuse_not_unit(const Samples &q);
 
-// Replaces rotations that lack digits by the nearest ones, in a copy if there are any. They are
-// matrices (3, 3), or parts of poses (4, 4).
+// Replaces rounded rotations by the nearest rotations, in a copy if there are any. The matrices are
+// rotations (3, 3) or poses (4, 4).
 void restore_digits(Input &matrices);
 
 template <class Real>

@@ -1,12 +1,12 @@
-// Python class Chain: argument checks; mathematics in kinematics.h and rigid_body.h.
+// Python class Chain: checks arguments; mathematics in kinematics.h and rigid_body.h.
 #include "array/arrays.h"
 #include "math/arm/rigid_body.h"
 
 namespace armlab::python {
 namespace {
 
-// Orthonormalises R by Newton steps towards the nearest rotation. Raises beyond an error of 1e-6,
-// and keeps R if it is orthonormal to rounding.
+// Orthonormalises R by Newton steps towards the nearest rotation. Raises if the error exceeds 1e-6;
+// keeps R if it is orthonormal to rounding.
 bool make_rigid(double *E) {
   const double bottom[4] = {0.0, 0.0, 0.0, 1.0};
   if (!std::equal(bottom, bottom + 4, E + 12) || !std::isfinite(E[3] + E[7] + E[11])) return false;
@@ -41,7 +41,7 @@ void construct(Chain *self, nb::handle frames_, nb::handle prismatic_) {
     if (!make_rigid(&rigid[16 * i]))
       raise_shape_error(
           "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, "
-          "determinant 1, last row 0 0 0 1), got one that is not: frames[" +
+          "determinant 1, last row 0 0 0 1), got an invalid one: frames[" +
           std::to_string(i) + "]. Normalise quaternions and rotations first.");
   bool slides[max_joints];
   std::transform(

@@ -1,5 +1,5 @@
-// Python class Drive and functions basis_weights, model_torque and presliding: arguments are
-// checked here, the mathematics is in drive.h.
+// Python class Drive and functions basis_weights, model_torque and presliding: checks arguments;
+// mathematics in drive.h.
 #include <cstring>
 
 #include "array/arrays.h"
@@ -11,12 +11,12 @@ namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
-// Copies the parts of a tuple of arrays.
+// Reads a tuple of arrays.
 std::vector<Input> parts(nb::handle tuple, std::initializer_list<const char *> names) {
   if (!PyTuple_Check(tuple.ptr()) ||
       PyTuple_GET_SIZE(tuple.ptr()) != static_cast<npy_intp>(names.size()))
     raise_shape_error("Expected a part of the drive as a tuple of " + std::to_string(names.size()) +
-                      " arrays, got something else.");
+                      " arrays, got a different type or length.");
   std::vector<Input> inputs;
   for (const char *name : names)
     inputs.emplace_back(PyTuple_GET_ITEM(tuple.ptr(), inputs.size()), name);
@@ -51,7 +51,7 @@ RippleLines read_lines(nb::handle tuple, int n) {
     const double joint = in[0].data()[k];
     if (!(joint >= (k ? in[0].data()[k - 1] : 0.0) && joint < n))
       raise_shape_error(
-          "Expected the lines of torque ripple joint by joint from 0, got another order.");
+          "Expected torque ripple lines in ascending order of joints, got another order.");
     for (int i = static_cast<int>(joint) + 1; i <= n; ++i) ++lines.first[i];
   }
   lines.cycles = copied(in[1]);
@@ -112,7 +112,7 @@ nb::object weights(nb::handle x_, nb::handle centres_, nb::handle widths_) {
   const Input x(x_, "x"), middle(centres_, "centres"), widths(widths_, "widths");
   const npy_intp m = middle.size();
   if (m < 1 || m > max_centres)
-    raise_shape_error("Expected from 1 to " + std::to_string(max_centres) + " centres, got " +
+    raise_shape_error("Expected 1 to " + std::to_string(max_centres) + " centres, got " +
                       std::to_string(m) + ".");
   middle.require_exactly({m});
   widths.require_exactly({m});
@@ -140,9 +140,9 @@ nb::object torque(const Drive &self, nb::handle q_, nb::handle qd_, nb::handle z
   return tau.array();
 }
 
-// Adds the torque of the drives along a record to tau (N, n), which holds that of the links;
-// without dt (N) there is no warm-up. Rows that are not finite become NaN and leave the states
-// unchanged.
+// Adds the torque of the drives along a record to tau (N, n), which contains the torque of the
+// links. Without dt (N), there is no warm-up. Rows that are not finite become NaN and do not change
+// the states.
 void add_drive_torque(const Drive &drive, npy_intp N, const double *rotor, const double *q,
     const double *qd, const double *qdd, const double *dt, double *tau) {
   const int n = drive.n;
@@ -188,7 +188,7 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
         rnea({chain, gravity.data(), links.data()}, in[0], in[1], in[2], to[0]);
       });
   {
-    // not at `return`, which counts one more reference to the array
+    // ends before `return`, which adds a reference to the array
     nb::gil_scoped_release released;
     add_drive_torque(drive, N, rotor.data(), q.data(), qd.data(), qdd.data(),
         dt_.is_none() ? nullptr : dt.data(), tau.samples().data);

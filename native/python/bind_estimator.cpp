@@ -1,5 +1,5 @@
 // Python classes WrenchEstimator and MomentumEstimator, and functions solve_wrench, wrench_interval
-// and momentum_step: arguments are checked here, the mathematics is in math/contact.
+// and momentum_step: checks arguments; mathematics in math/contact.
 #include "array/arrays.h"
 #include "math/contact/momentum_estimator.h"
 
@@ -13,7 +13,7 @@ WrenchMethod method_of(int number) {
   return static_cast<WrenchMethod>(number);
 }
 
-// columns (n, W), -1 beyond those of a joint, covariances (n, W, W) and means (n), or None.
+// columns (n, W), padded with -1, covariances (n, W, W) and means (n), or None.
 ParameterDoubt read_doubt(int n, nb::handle columns_, nb::handle cov_, nb::handle mean_) {
   ParameterDoubt doubt;
   if (columns_.is_none()) return doubt;
@@ -31,7 +31,7 @@ ParameterDoubt read_doubt(int n, nb::handle columns_, nb::handle cov_, nb::handl
       if (!(column < last) || !finite(row, static_cast<int>(W)) ||
           k >= 11 * n + ParameterDoubt::terms)
         raise_shape_error("Expected doubt_columns below " + std::to_string(static_cast<int>(last)) +
-                          " and finite doubt_cov, got others. Identify again.");
+                          " and finite doubt_cov, got other values. Identify again.");
       doubt.joints[i].columns.push_back(static_cast<int>(column));
       doubt.joints[i].cov.insert(doubt.joints[i].cov.end(), row, row + k + 1);
     }
@@ -75,14 +75,14 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   if (p.at_point) {
     const Input point(point_, "point", {3});
     if (!finite(point.data(), 3))
-      raise_shape_error("Expected a finite point, got another. Correct it.");
+      raise_shape_error("Expected a finite point, got NaN or Inf. Correct it.");
     std::copy_n(point.data(), 3, p.point.begin());
   }
   return p;
 }
 
-// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance,
-// flags, active joints, interval; the last is None unless the method has one.
+// One estimate, or N estimates, as fresh arrays: F, P, observability, torque error, its variance,
+// flags, active joints, interval. The interval is None unless the method provides one.
 class Estimates {
  public:
   Estimates(int n, bool has_interval, npy_intp N, bool stacked) : n_(n), interval_(nullptr) {
@@ -228,8 +228,8 @@ nb::object filter_step(nb::handle x_, nb::handle P_, nb::handle G_, nb::handle u
   if (!momentum_step({n, m, G.data(), Qp.data(), q.data(), a.data()}, u.data(), y.data(), R.data(),
           h, numbers(new_x), numbers(new_P), work.data()))
     raise_shape_error(
-        "Expected Qp, q and R that leave the measured momentum a positive covariance, got others. "
-        "Give positive variances.");
+        "Expected Qp, q and R that give the measured momentum a positive covariance, got other "
+        "values. Pass positive variances.");
   return nb::make_tuple(new_x, new_P);
 }
 

@@ -1,4 +1,4 @@
-// Python class InverseSolver and function follow_path; mathematics: inverse.cpp and path.h.
+// Python class InverseSolver and function follow_path; mathematics in inverse.cpp and path.h.
 #include "array/lie_arguments.h"
 #include "math/inverse/path.h"
 
@@ -28,7 +28,7 @@ struct Goals {
     restore_digits(T);
   }
 
-  // A fresh array of shape batch + tail.
+  // Returns a fresh array of shape batch + tail.
   template <class Number>
   nb::object fresh(int type, std::initializer_list<npy_intp> tail, Number **data) const {
     npy_intp shape[NPY_MAXDIMS + 2];
@@ -43,7 +43,7 @@ struct Goals {
   npy_intp count;
 };
 
-// Joint vectors: one for all goals, or one per goal, finite.
+// Finite joint vectors: one for all goals, or one per goal.
 struct Vectors {
   Vectors(nb::handle value, const char *name, const Goals &goals, int n) : q(value, name) {
     const bool one = q.ndim() == 1 && q.shape()[0] == n;
@@ -56,7 +56,7 @@ struct Vectors {
                         ", got " + q.shape_text() + ".");
     for (npy_intp k = 0; k < q.size(); ++k)
       if (!std::isfinite(q.data()[k]))
-        raise_shape_error("Expected finite joint positions, got others in " +
+        raise_shape_error("Expected finite joint positions, got NaN or Inf in " +
                           place(name, k / n, q.shape(), q.ndim() - 1) + ".");
     stride = one ? 0 : n;
   }
@@ -78,12 +78,12 @@ Search search_of(
     raise_shape_error("Expected an objective from 0 to 3, got " + std::to_string(objective) + ".");
   if (steps < 0 || starts < 1 || !(position >= 0.0) || !(rotation >= 0.0) || !(damping > 0.0))
     raise_shape_error(
-        "Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.");
+        "Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got other values.");
   return {steps, starts, position, rotation, damping,
       {static_cast<Objective::Kind>(objective), nullptr, nullptr}};
 }
 
-// The arguments common to `solve` and `follow`, except the goals.
+// The arguments shared by `solve` and `follow`, except the goals.
 struct Request {
   Request(nb::handle T, int n, int task_, nb::handle axis_, const Search &search_,
       nb::handle reference_, nb::handle scale_, bool history_, nb::handle threads_)
@@ -99,7 +99,7 @@ struct Request {
                  longest = std::max({std::fabs(a[0]), std::fabs(a[1]), std::fabs(a[2])});
     if (!(std::isfinite(a[0] + a[1] + a[2]) && longest > 1e-9))
       raise_shape_error(
-          "Expected axis to be a direction in tool axes, got one that is not finite or has no "
+          "Expected axis to be a direction in tool axes, got a vector that is not finite or has no "
           "length.");
   }
 
@@ -133,12 +133,12 @@ void construct(InverseSolver *self, const Chain &chain, nb::handle low_, nb::han
     if (!(low.data()[i] <= home.data()[i] && home.data()[i] <= high.data()[i] &&
             std::isfinite(home.data()[i])))
       raise_shape_error(
-          "Expected q_min <= q_home <= q_max and a finite q_home, got others at joint " +
+          "Expected q_min <= q_home <= q_max and a finite q_home, got other values at joint " +
           std::to_string(i + 1) + ".");
   new (self) InverseSolver(chain, low.data(), high.data(), home.data(), seed);
 }
 
-// New arrays for the results of a call: q (n), errors (3) and counts (3) of each goal.
+// New arrays for the results of a call: q (n), errors (3) and counts (3) per goal.
 struct Results {
   Results(const Goals &goals, int n_)
       : n(n_),
@@ -159,7 +159,7 @@ struct Results {
   nb::object q_array, error_array, count_array;
 };
 
-// Runs solve(goal, search, k, q) -> Outcome over the goals.
+// Runs solve(goal, search, k, q) -> Outcome for each goal.
 template <class Solve>
 nb::object run(int n, const Request &request, Solve solve) {
   const Goals &goals = request.goals;
@@ -219,7 +219,7 @@ nb::object follow(const InverseSolver &self, nb::handle T, nb::handle q0, double
   });
 }
 
-constexpr npy_intp rows_between_signals = 4096;  // Ctrl-C ends a long path
+constexpr npy_intp rows_between_signals = 4096;  // so Ctrl-C can stop a long path
 
 template <int M>
 void follow_rows(const InverseSolver &self, const Request &request, const double *change,
@@ -252,7 +252,7 @@ nb::object follow_path(const InverseSolver &self, nb::handle T, nb::handle q0_, 
   const Request request(T, n, task, axis, search, reference, scale, false, nb::int_(1));
   const Goals &goals = request.goals;
   if (goals.axes != 1)
-    raise_shape_error("Expected T_base_tool of shape (N, 4, 4), one pose after the other, got " +
+    raise_shape_error("Expected T_base_tool of shape (N, 4, 4), poses in path order, got " +
                       goals.T.shape_text() + ".");
   const Input q0(q0_.is_none() ? request.zeros(n) : nb::borrow(q0_), "q0");
   const Input change(change_.is_none() ? request.zeros(n) : nb::borrow(change_), "change");
@@ -260,8 +260,8 @@ nb::object follow_path(const InverseSolver &self, nb::handle T, nb::handle q0_, 
   change.require_exactly({n});
   for (int i = 0; i < n; ++i) {
     if (!std::isfinite(q0.data()[i]))
-      raise_shape_error("Expected finite joint positions, got others in q0.");
-    if (!(change.data()[i] >= 0.0)) raise_shape_error("Expected change >= 0, got others.");
+      raise_shape_error("Expected finite joint positions, got NaN or Inf in q0.");
+    if (!(change.data()[i] >= 0.0)) raise_shape_error("Expected change >= 0, got another value.");
   }
   const Results results(goals, n);
   with_rows(request.task, [&](auto rows) {

@@ -1,4 +1,4 @@
-// Python functions of the Lie groups; the mathematics is in lie.h, se3.h and euler.h.
+// Python functions for Lie groups; mathematics in lie.h, se3.h and euler.h.
 #include "array/lie_arguments.h"
 #include "math/lie/euler.h"
 #include "math/lie/se3.h"
@@ -17,13 +17,13 @@ void refuse_wrong(const Samples &given) {
   if (width == 4) refuse_not_unit(given);
 }
 
-// Rejects invalid samples one by one, and restores missing digits of rotations.
+// Rejects invalid samples one by one, and replaces rounded rotations by exact ones.
 void correct(Samples &given) {
   refuse_wrong(given);
   if (given.samples().width >= 9) restore_digits(given);
 }
 
-// kernel(in, out) over broadcast leading axes; it returns whether the arguments look valid.
+// Runs kernel(in, out) over broadcast leading axes; it returns whether the arguments look valid.
 template <class Kernel, class... Given>
 nb::object over(
     nb::handle out, std::initializer_list<npy_intp> tail, Kernel kernel, Given &...given) {
@@ -35,7 +35,7 @@ nb::object over(
   return armlab::over(found, std::array{Tail(tail)}, {}, 1, checking, given...);
 }
 
-// A function of one argument: kernel(in, out) of one sample.
+// Binds a function of one argument: kernel(in, out) for one sample.
 template <npy_intp... in, npy_intp... out, class Kernel>
 void def(nb::module_ &m, const char *name, const char *argument, Shape<in...>, Shape<out...>,
     Kernel kernel) {
@@ -46,7 +46,7 @@ void def(nb::module_ &m, const char *name, const char *argument, Shape<in...>, S
   m.def(name, function, array(argument), arg("out") = nb::none());
 }
 
-// The argument after validation of all samples; a copy if rotations lacked digits.
+// Validates all samples and returns the argument, copied if rotations were rounded.
 template <class Looks>
 nb::object checked(nb::handle value, const char *name, npy_intp n, Looks looks) {
   Samples given(value, name, {n, n});

@@ -1,4 +1,4 @@
-// Python class Obstacles: arguments are checked here, the mathematics is in obstacles.cpp.
+// Python class Obstacles: checks arguments; mathematics in obstacles.cpp.
 #include "array/arrays.h"
 #include "math/motion/obstacles.h"
 
@@ -19,14 +19,14 @@ npy_intp rows_of(nb::handle value, const char *name) {
 }
 
 Capsule capsule(const double *row, bool moves) {
-  if (row[6] < 0.0) raise_shape_error("Expected a radius of 0 or more, got another. Correct it.");
+  if (row[6] < 0.0) raise_shape_error("Expected a radius >= 0, got a negative one. Correct it.");
   const auto point = [&](int at) { return Point{row[at], row[at + 1], row[at + 2]}; };
   return {point(0), point(3), row[6], moves ? point(7) : Point{0.0, 0.0, 0.0}};
 }
 
 Obstacles::Rule rule_of(double clearance, double reach, bool by_potential) {
   if (!(clearance >= 0.0 && clearance < reach && std::isfinite(reach)))
-    raise_shape_error("Expected 0 <= clearance < reach, got others. Correct them.");
+    raise_shape_error("Expected 0 <= clearance < reach, got other values. Correct them.");
   return {clearance, reach, by_potential ? Obstacles::Form::potential : Obstacles::Form::steering};
 }
 
@@ -36,7 +36,7 @@ void construct(Obstacles *self, nb::handle arm, nb::handle links_, nb::handle bo
   if (!nb::isinstance<Chain>(arm)) {
     const long n = nb::isinstance<nb::int_>(arm) ? nb::cast<long>(arm) : 0;
     if (n != 2 && n != 3)
-      raise_shape_error("Expected 2 or 3 axes of the space, or a Chain, got another.");
+      raise_shape_error("Expected 2 or 3 dimensions, or a Chain, got another value.");
     new (self) Obstacles(static_cast<int>(n), rule);
     return;
   }
@@ -47,7 +47,8 @@ void construct(Obstacles *self, nb::handle arm, nb::handle links_, nb::handle bo
   for (npy_intp i = 0; i < count; ++i) {
     const double link = links.data()[i];
     if (!(link >= 1.0 && link <= chain.n && link == std::floor(link)))
-      raise_shape_error("Expected links from 1 to " + std::to_string(chain.n) + ", got another.");
+      raise_shape_error(
+          "Expected links from 1 to " + std::to_string(chain.n) + ", got a different number.");
     found.push_back({static_cast<int>(link), capsule(bodies.data() + 7 * i, false)});
   }
   new (self) Obstacles(chain, found, rule);
@@ -82,7 +83,7 @@ nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb
 }  // namespace armlab::python
 
 void armlab::python::bind_obstacles(nb::module_ &m) {
-  nb::class_<Obstacles>(m, "Obstacles", "What a motion goes around; see docs/theory/obstacles.md.")
+  nb::class_<Obstacles>(m, "Obstacles", "Obstacle avoidance; see docs/theory/obstacles.md.")
       .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"),
           arg("reach"), arg("by_potential") = false)
       .def("place", &put, array("capsules"))

@@ -1,5 +1,5 @@
 // Python classes Primitive, PrimitiveStepper and RotationStepper, and function rotation_rollout:
-// arguments are checked here, the mathematics is in primitive.cpp and rotation_primitive.cpp.
+// checks arguments; mathematics in primitive.cpp and rotation_primitive.cpp.
 #include "array/arrays.h"
 #include "math/motion/obstacles.h"
 #include "math/motion/rotation_primitive.h"
@@ -7,7 +7,7 @@
 namespace armlab::python {
 namespace {
 
-constexpr double longest_spring = 1e7;  // its time constants that are integrated in one call
+constexpr double longest_spring = 1e7;  // time constants of the spring per call
 
 const char *const phases[] = {"canonical", "time", "position", "periodic"};
 
@@ -57,7 +57,7 @@ nb::object design(
     require_finite(*input);
   }
   if (rows < N || columns < p.m)
-    raise_shape_error("Expected room for every phase and kernel, got too few rows or columns.");
+    raise_shape_error("Expected room for all phases and kernels, got too few rows or columns.");
   const nb::object matrix = fresh_array({columns, rows});
   std::fill(numbers(matrix), numbers(matrix) + rows * columns, 0.0);
   p.basis(N, x.data(), factors.data(), 1, rows, numbers(matrix));
@@ -90,7 +90,7 @@ npy_intp read_times(const Input &t) {
   require_finite(t);
   for (npy_intp k = 1; k < N; ++k)
     if (!(t.data()[k] > t.data()[k - 1]))
-      raise_shape_error("Expected times that increase, got one that does not at row " +
+      raise_shape_error("Expected increasing times, got one that does not increase at row " +
                         std::to_string(k) + ". Drop repeated samples.");
   return N;
 }
@@ -99,7 +99,7 @@ void require_steps(const Primitive &p, double span, double tau, bool coupled = f
   if ((coupled || p.phase == PhaseKind::position) &&
       !(span / tau * std::max(p.alpha, std::sqrt(p.stiffness)) < longest_spring))
     raise_shape_error(
-        "Expected less than 1e7 time constants of the spring, got more. Ask for a shorter motion.");
+        "Expected less than 1e7 time constants of the spring, got more. Shorten the motion.");
 }
 
 nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb::handle v0_,
@@ -185,7 +185,7 @@ nb::object step(PrimitiveStepper &self, double dt) {
   return outputs(self);
 }
 
-// The state at times (N,), the first of which is now: y, yd, ydd and f, each (N, n).
+// The states at times (N,), starting with the current time: y, yd, ydd and f, each (N, n).
 nb::object follow(PrimitiveStepper &self, nb::handle t_) {
   const Input t(t_, "t");
   const npy_intp N = read_times(t), n = self.primitive.n;
@@ -229,16 +229,16 @@ struct Orientation : Finite {
   Orientation(nb::handle value, const char *name) : Finite(value, name, {4}) {
     const double *q = data(), square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     if (!(square > 1e-12 && square < 1e12))
-      raise_shape_error(std::string("Expected a quaternion wxyz of length 1 as ") + name +
-                        ", got another length.");
+      raise_shape_error(
+          std::string("Expected a unit quaternion wxyz as ") + name + ", got another length.");
   }
 };
 
 void require_primitive(const Primitive &p) {
   if (p.n != 3 || p.phase == PhaseKind::position)
     raise_shape_error(
-        "Expected a primitive of three coordinates with a phase of time, got another. Fit it "
-        "again.");
+        "Expected a primitive of three coordinates whose phase depends only on time, got another "
+        "primitive. Fit it again.");
 }
 
 void start_rotation(RotationStepper &self, nb::handle q0_, nb::handle w0_, nb::handle goal_,

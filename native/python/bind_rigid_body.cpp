@@ -1,4 +1,4 @@
-// Python class RigidBody: arguments are checked here, mathematics: rigid_body.h.
+// Python class RigidBody: checks arguments; mathematics in rigid_body.h.
 #include "array/arrays.h"
 #include "math/arm/rigid_body.h"
 
@@ -17,7 +17,7 @@ void construct_body(RigidBody *self, const Chain &chain, nb::handle gravity_, nb
   self->motors.assign(motors.data(), motors.data() + n * n);
 }
 
-// Raises for the first q whose mass matrix is not positive definite; NaN counts as such.
+// Raises an error for the first q whose mass matrix is not positive definite, including NaN.
 void refuse_massless(const Bodies &arm, const Samples &q) {
   const int n = arm.chain.n;
   const double still[max_joints]{};
@@ -26,10 +26,10 @@ void refuse_massless(const Bodies &arm, const Samples &q) {
     if (finite(q.data() + k * n, n) &&
         !forward_dynamics<double>(arm, q.data() + k * n, still, still, nullptr, qdd))
       raise("RobotError",
-          "Expected a positive definite mass matrix, got one that is not at " +
+          "Expected a positive definite mass matrix, got another matrix at " +
               place("q", k, q.shape(), q.batch_axes()) +
-              ": some motion of the joints moves no mass. Give every moving link mass and moments "
-              "of inertia; make a model physical with identify.physically_consistent.");
+              ": some joint motion moves no mass. Give every moving link a mass and moments of "
+              "inertia, or make a model physical with identify.physically_consistent.");
 }
 
 constexpr double weightless[3]{};
@@ -38,9 +38,9 @@ Samples joints(const RigidBody &self, nb::handle value, const char *name) {
   return Samples(value, name, {self.chain.n});
 }
 
-// kernel(arm, in, wrench, to) of q, qd and a third quantity, the first `count` of them, and with
-// all three of the wrench f_ext, which is null without. Results are of shape (n,) * axes. Returns
-// whether M is positive definite.
+// Defines a method that runs kernel(arm, in, wrench, to) on the first `count` of q, qd and a third
+// quantity. With all three, `wrench` is f_ext, or null if it is not given. Results have shape
+// (n,) * axes. The kernel returns whether M is positive definite.
 template <int count, std::size_t Outs, class Kernel>
 void def(nb::class_<RigidBody> &body, const char *name, const char *third,
     std::array<int, Outs> axes, Kernel kernel) {
@@ -76,7 +76,7 @@ void def(nb::class_<RigidBody> &body, const char *name, const char *third,
                         nb::handle f_ext, nb::handle out) {
       const Samples q = joints(self, q_, "q"), qd = joints(self, qd_, "qd"),
                     x = joints(self, x_, third);
-      const bool pushed = !f_ext.is_none();  // without, q stands for it: code for both is too much
+      const bool pushed = !f_ext.is_none();  // if not, q is a placeholder
       return run(self, out, pushed, q, qd, x, pushed ? Samples(f_ext, "f_ext", {6}) : q);
     };
     body.def(name, of, array("q"), array("qd"), array(third), none("f_ext"), none("out"));

@@ -1,4 +1,4 @@
-// Python class SignalOperator: arguments are checked here, the mathematics is in signals.cpp.
+// Python class SignalOperator: checks arguments; mathematics in signals.cpp.
 #include "array/arrays.h"
 #include "math/motion/signals.h"
 
@@ -10,7 +10,7 @@ const char *const kinds[] = {
 
 struct PySignalOperator {
   SignalOperator kernel;
-  std::vector<npy_intp> shape;  // of one sample, once it is known
+  std::vector<npy_intp> shape;  // shape of one sample, once known
 };
 
 std::vector<double> values_of(nb::handle init) {
@@ -30,7 +30,7 @@ void construct(
           SignalOperator(static_cast<SignalKind>(i), a, b, dt, values_of(init)), {}};
       return;
     }
-  raise_shape_error("Expected a kind of signal operator, got '" + std::string(kind) + "'.");
+  raise_shape_error("Expected the name of a signal operator, got '" + std::string(kind) + "'.");
 }
 
 void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_intp size,
@@ -42,18 +42,18 @@ void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_in
     self.shape = now;
     return;
   }
-  raise_shape_error("Expected samples of the shape of the first one and of init, got " + text +
-                    ". Reset the operator for another signal.");
+  raise_shape_error("Expected samples with the shape of the first one and of init, got " + text +
+                    ". Reset the operator before a different signal.");
 }
 
 void check_status(SignalStatus status, npy_intp row) {
   if (status == SignalStatus::ok) return;
   const char *const sentences[] = {
-      "Expected a time stamp after the last one, got one that is not. Drop repeated samples, "
-      "or reset the operator for a new record",
-      "Expected a time stamp with every sample, got none. Give t, as with the first sample, or "
-      "dt when the operator is made",
-      "Expected no time stamps after a first sample without one, got one. Give t with every "
+      "Expected a time stamp later than the last one, got an earlier or equal one. Drop repeated "
+      "samples, or reset the operator for a new record",
+      "Expected a time stamp with every sample, got none. Pass t, as with the first sample, or "
+      "dt when creating the operator",
+      "Expected no time stamps after a first sample without one, got one. Pass t with every "
       "sample or with none"};
   raise_shape_error(sentences[static_cast<int>(status) - 1] +
                     (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");

@@ -1,4 +1,4 @@
-// Python class TwoDof: arguments are checked here, the mathematics is in two_dof.cpp.
+// Python class TwoDof: checks arguments; mathematics in two_dof.cpp.
 #include "array/arrays.h"
 #include "math/motion/two_dof.h"
 
@@ -29,7 +29,8 @@ void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle 
   require_positive("unit", units.data(), n);
   require_not_negative("gains", gains.data(), 4);
   require_not_negative("dead_zone", zone.data(), n);
-  if (!(gains[4] > 0.0)) raise_shape_error("Expected e_max above zero, got another number.");
+  if (!(gains[4] > 0.0))
+    raise_shape_error("Expected e_max above zero, got a smaller number or NaN.");
   new (self) TwoDof({primitive, tau, gains[0], gains[1], gains[2], gains[3], gains[4], start, goal,
       factor, zone, units});
 }
@@ -46,7 +47,7 @@ TwoDof::Speed speed_of(nb::handle value) {
 
 void check_step(double dt, long steps) {
   if (!(dt >= 0.0 && std::isfinite(dt)) || steps < 1)
-    raise_shape_error("Expected a finite dt from 0 in at least one step, got others.");
+    raise_shape_error("Expected a finite dt >= 0 and at least one step, got other values.");
 }
 
 nb::object advance(

@@ -10,12 +10,12 @@ NB_MODULE(_native, m) {
     try {
       std::rethrow_exception(thrown);
     } catch (const std::bad_cast &) {  // an argument within a list or tuple
-      PyErr_SetString(PyExc_TypeError,
-          "Expected arguments of the types that the documentation names, got another.");
+      PyErr_SetString(
+          PyExc_TypeError, "Expected arguments of the documented types, got another type.");
     }
   });
-  nb::set_leak_warnings(false);  // a robot that a module keeps until the end is no leak
-  m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
+  nb::set_leak_warnings(false);  // a robot held by a module until exit is not a leak
+  m.doc() = "Compiled kernels of armlab; use them through armlab.kernels.";
 #define ARMLAB_BIND(topic) armlab::python::bind_##topic(m);
   ARMLAB_TOPICS(ARMLAB_BIND)
 }

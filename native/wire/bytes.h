@@ -1,4 +1,4 @@
-// Python's bytes, and values in them.
+// Python bytes objects, and values in them.
 #pragma once
 
 #include "array/arrays.h"

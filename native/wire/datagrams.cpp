@@ -1,7 +1,7 @@
-// Datagrams to and from a socket of another owner. Documented in armlab/kernels/_native.pyi.
+// Datagrams to and from a socket that has another owner. Documented in armlab/kernels/_native.pyi.
 //
-// Python's own calls raise an exception for "nothing there", parse the address each time and
-// release the interpreter at each call: three times the time of the system calls.
+// Python's own calls raise an exception if no datagram is waiting, parse the address each time and
+// release the GIL at each call, which takes three times as long as the system calls.
 #include "array/arrays.h"
 
 #include <nanobind/stl/vector.h>
@@ -18,7 +18,7 @@ namespace armlab::python {
 namespace {
 
 constexpr std::size_t largest = 65535;
-constexpr std::int64_t stale_ns = 10'000'000'000;  // an older stamp is of a clock that was set
+constexpr std::int64_t stale_ns = 10'000'000'000;  // an older stamp means that the clock was set
 
 std::int64_t clock_ns(clockid_t clock) {
   timespec now;
@@ -36,7 +36,7 @@ class Datagrams {
         fd_(nb::cast<int>(socket.attr("fileno")())) {
     if (!PyType_Check(kind.ptr()) || !PyType_IsSubtype(type(), &PyTuple_Type))
       throw nb::type_error(
-          "Expected a named tuple of data, source and ns to make of each datagram.");
+          "Expected a named tuple with fields data, source and ns for the datagrams.");
   }
 
   nb::object receive() {
@@ -53,7 +53,7 @@ class Datagrams {
       return nb::none();
     }
     std::int64_t ns = now_ns();
-#ifdef SCM_TIMESTAMPNS  // Linux stamps what arrives
+#ifdef SCM_TIMESTAMPNS  // Linux stamps each datagram on arrival
     for (cmsghdr *found = CMSG_FIRSTHDR(&message); found; found = CMSG_NXTHDR(&message, found)) {
       if (found->cmsg_level != SOL_SOCKET || found->cmsg_type != SCM_TIMESTAMPNS) continue;
       timespec stamp;
@@ -80,7 +80,7 @@ class Datagrams {
   }
 
   bool send(nb::bytes data, nb::tuple to) {
-    if (to.size() != 2) throw nb::type_error("Expected the address and the port to send to.");
+    if (to.size() != 2) throw nb::type_error("Expected the address and port of the receiver.");
     sockaddr_in address{};
     address.sin_family = AF_INET;
     address.sin_port = htons(nb::cast<std::uint16_t>(to[1]));
@@ -91,7 +91,7 @@ class Datagrams {
     return sent;
   }
 
-  // The descriptor of a closed socket may be reused for another one.
+  // The descriptor must be dropped, because the system may reuse it after the close.
   void close() {
     fd_ = -1;
     socket_.attr("close")();
@@ -110,7 +110,7 @@ class Datagrams {
   char buffer_[largest];
 };
 
-// Without the interpreter, so that other threads run meanwhile and ask for nothing afterwards.
+// Releases the GIL once, so other threads run meanwhile and do not contend for it afterwards.
 bool await_datagram(const std::vector<int> &sockets, std::int64_t poll_ns, std::int64_t end_ns) {
   std::vector<pollfd> all;
   for (const int number : sockets) all.push_back({number, POLLIN, 0});
@@ -119,7 +119,7 @@ bool await_datagram(const std::vector<int> &sockets, std::int64_t poll_ns, std::
   const timespec sleep{left / 1'000'000'000, left % 1'000'000'000}, none{};
   int found = ppoll(all.data(), all.size(), &sleep, nullptr);
   while (found == 0 && now_ns() < end_ns) found = ppoll(all.data(), all.size(), &none, nullptr);
-  return found > 0;  // not after a signal, which Python handles first
+  return found > 0;  // false after a signal, which Python handles first
 }
 
 }  // namespace

@@ -1,8 +1,9 @@
-// EGM datagrams to packets and references to datagrams. Documented in armlab/kernels/_native.pyi.
+// Conversion of EGM datagrams to packets, and of references to datagrams. Documented in
+// armlab/kernels/_native.pyi.
 //
-// Numbers of fields are those of armlab_egm.proto; a datagram is accepted exactly when protobuf
-// accepts it. One exception: protobuf counts messages in its limit of 100 nested groups, this
-// reader counts the groups of each message alone.
+// Field numbers are those of armlab_egm.proto. A datagram is accepted exactly if protobuf accepts
+// it, with one exception: protobuf counts messages in its limit of 100 nested groups, but this
+// reader counts only the groups within each message.
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -13,7 +14,7 @@ namespace {
 
 using namespace protobuf;
 
-// clang-format off: a table
+// clang-format off: table
 namespace EgmHeader { enum { seqno = 1, tm = 2, mtype = 3 }; }
 namespace EgmCartesian { enum { x = 1, y = 2, z = 3 }; }
 namespace EgmQuaternion { enum { u0 = 1, u1 = 2, u2 = 3, u3 = 4 }; }
@@ -45,7 +46,7 @@ namespace EgmSensor { enum { header = 1, planned = 2, speedRef = 3, rapidToRobot
 // clang-format on
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-// Degrees or mm: beyond any arm, and differences of larger numbers could overflow.
+// Degrees or mm: beyond any arm. Differences of larger numbers could overflow.
 constexpr double most = 1e9;
 constexpr std::uint64_t max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
 constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2,
@@ -199,7 +200,7 @@ struct Robot {
     });
   }
 
-  // Two layouts, distinguished by the first tag; malformed input counts as absent.
+  // Reads either of two layouts, distinguished by the first tag. Malformed input counts as absent.
   void read_force() {
     const int tag = force_bytes.empty() ? 0 : force_bytes[0];
     const bool newer = tag == 0x08 || tag == 0x11 || tag == 0x12,
@@ -211,7 +212,7 @@ struct Robot {
   }
 };
 
-// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN without a usable norm.
+// Converts x, y, z [mm] and a quaternion to matrix rows [m]; NaN if the norm is unusable.
 void matrix_of(const double *pose, double *out) {
   const double a = pose[3], b = pose[4], c = pose[5], d = pose[6];
   const double norm = a * a + b * b + c * c + d * d;
@@ -252,7 +253,7 @@ class EgmMessages {
     scale_ = doubles_of(scale, "scale"), beyond_ = doubles_of(external_scale, "external_scale");
     if (!PyType_Check(packet.ptr()) || !PyType_IsSubtype(type(), &PyTuple_Type) ||
         nb::len(nb::object(packet.attr("_fields"))) != fields)
-      throw nb::type_error("Expected the named tuple of packets, with as many fields as `fields`.");
+      throw nb::type_error("Expected the named tuple of packets, with `fields` fields.");
     axes_.assign(order_.size(), -1);
     for (std::size_t k = 0; k < order_.size(); ++k)
       if (order_[k] >= 0 && order_[k] < n())
@@ -311,7 +312,7 @@ class EgmMessages {
       return beside.is_none() ? nb::none() : nb::object(nb::borrow<nb::tuple>(beside)[k]);
     };
     if (!beside.is_none() && (!PyTuple_Check(beside.ptr()) || nb::len(beside) != 4))
-      throw nb::type_error("Expected the part of a reference beside the joints.");
+      throw nb::type_error("Expected the part of a reference besides the joints.");
     motion(out, EgmSensor::planned, ref[0], extra(0));
     if (!ref[1].is_none()) motion(out, EgmSensor::speedRef, ref[1], extra(1));
     rapid(out, extra(2), extra(3));
@@ -320,7 +321,7 @@ class EgmMessages {
   }
 
  private:
-  static constexpr Py_ssize_t fields = 21;  // of `Packet`; packet() sets each in turn
+  static constexpr Py_ssize_t fields = 21;  // fields of `Packet`, set by packet() in order
 
   PyTypeObject *type() const { return reinterpret_cast<PyTypeObject *>(packet_.ptr()); }
   int n() const { return static_cast<int>(order_.size()); }
@@ -333,7 +334,7 @@ class EgmMessages {
            motion.joints.size() == head() && motion.external.size() >= tail();
   }
 
-  // The joints of a motion in kinematic order, scaled.
+  // Writes the joints of a motion in kinematic order, scaled.
   void joints_of(const Motion &motion, bool in_radians, double *to) const {
     for (std::size_t k = 0; k < order_.size(); ++k) {
       const auto axis = static_cast<std::size_t>(order_[k]);
@@ -342,7 +343,7 @@ class EgmMessages {
     }
   }
 
-  // An array in kinematic order; NaN if absent.
+  // Writes an array in kinematic order; NaN if absent.
   void array_of(const Doubles &values, bool is_kinematic, double *to) const {
     for (std::size_t k = 0; k < order_.size(); ++k) {
       const std::size_t from = is_kinematic ? k : static_cast<std::size_t>(order_[k]);
@@ -413,7 +414,7 @@ class EgmMessages {
     return made;
   }
 
-  // A read-only view of some of the values.
+  // Returns a read-only view of some of the values.
   static nb::object part(const nb::object &values, double *data, int ndim, const npy_intp *shape) {
     const nb::object array = nb::steal(PyArray_New(&PyArray_Type, ndim, shape, NPY_DOUBLE, nullptr,
         data, 0, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr));
@@ -423,7 +424,7 @@ class EgmMessages {
     return array;
   }
 
-  // The axes of the robot, the seventh and later ones as external joints, then the axes beyond.
+  // Writes the robot's axes, the seventh and later ones as external joints, then additional axes.
   void motion(FieldWriter &out, int number, nb::handle values, const nb::object &external) const {
     const Input given(values, "joints", {n()});
     const auto axis = [&](std::size_t k) {
@@ -474,11 +475,11 @@ class EgmMessages {
   }
 
   nb::object packet_, drop_, empty_, measured_, reference_, none_;
-  std::vector<int> order_, axes_;  // the axis of each joint, the joint of each axis
+  std::vector<int> order_, axes_;  // axis of each joint; joint of each axis
   Doubles scale_, beyond_;         // SI per wire unit
   bool extension_;
-  Robot robot_;      // kept for its memory
-  std::string out_;  // likewise
+  Robot robot_;      // kept to reuse its memory
+  std::string out_;  // kept to reuse its memory
 };
 
 }  // namespace

@@ -16,7 +16,7 @@ struct Place {
   std::size_t start, stop;
 };
 
-// A writable array of `rows` rows of `width` bytes; any number of rows if negative.
+// Returns a writable array of `rows` rows of `width` bytes; negative `rows`: any number of rows.
 std::uint8_t *writable(nb::handle array, npy_intp rows, std::size_t width) {
   PyArrayObject *found = as_array(array);
   if (!PyArray_Check(array.ptr()) ||
@@ -25,11 +25,11 @@ std::uint8_t *writable(nb::handle array, npy_intp rows, std::size_t width) {
       static_cast<std::size_t>(PyArray_NBYTES(found)) !=
           static_cast<std::size_t>(PyArray_DIM(found, 0)) * width)
     raise_shape_error("Expected writable arrays with a row of " + std::to_string(width) +
-                      " bytes for every message, got another.");
+                      " bytes for every message, got another array.");
   return static_cast<std::uint8_t *>(PyArray_DATA(found));
 }
 
-// Pairs (k, 2) of start and stop within `size` bytes.
+// Pairs (k, 2) of start and stop positions within `size` bytes.
 std::vector<Place> places_of(nb::handle pairs, std::size_t size) {
   std::vector<Place> places;
   for (nb::handle pair : pairs) {
@@ -42,7 +42,7 @@ std::vector<Place> places_of(nb::handle pairs, std::size_t size) {
   return places;
 }
 
-// The bytes of an object, kept alive by this.
+// The bytes of an object, which this keeps alive.
 class Bytes {
  public:
   explicit Bytes(nb::handle object) {
@@ -77,7 +77,7 @@ struct Channel {
   }
 };
 
-// The rows of one column. Most numbers are doubles, and a copy of eight bytes is one instruction.
+// Copies the rows of one column. Most numbers are doubles, which are copied in one instruction.
 void copy_column(const std::vector<const std::uint8_t *> &records, std::size_t at,
     std::size_t width, std::uint8_t *to) {
   if (width % 8 != 0) {
@@ -181,8 +181,8 @@ class MessageCopier {
   }
 
   std::vector<Channel> channels_;
-  std::vector<int> slots_;       // by the number of a channel; -1 of the others
-  std::vector<nb::tuple> kept_;  // the arrays that are written into
+  std::vector<int> slots_;       // index by channel number; -1 for other channels
+  std::vector<nb::tuple> kept_;  // keeps the output arrays alive
 };
 
 }  // namespace

@@ -1,4 +1,4 @@
-// Reading and writing of protobuf fields in sequence.
+// Sequential reader and writer of protobuf fields.
 #pragma once
 
 #include "wire/bytes.h"
@@ -7,26 +7,26 @@ namespace armlab::protobuf {
 
 using Doubles = std::vector<double>;
 
-constexpr std::size_t deepest = 100;  // groups in groups
+constexpr std::size_t deepest = 100;  // nesting depth of groups
 enum Kind { varint = 0, eight_bytes = 1, message = 2, group = 3, group_end = 4, four_bytes = 5 };
 
 struct Field {
   std::uint32_t number;
   int kind;
-  std::uint64_t integer;   // of a varint
-  std::string_view bytes;  // of other kinds
+  std::uint64_t integer;   // value of a varint
+  std::string_view bytes;  // value of other kinds
 
   bool is_varint(std::uint32_t wanted) const { return number == wanted && kind == varint; }
 };
 
-// The fields of one message, in sequence.
+// Reads the fields of one message in sequence.
 class FieldReader {
  public:
   explicit FieldReader(std::string_view data) : at_(data.data()), end_(at_ + data.size()) {}
 
   bool is_malformed() const { return malformed_; }
 
-  // The next field; false at the end and for malformed input. Groups are skipped.
+  // Reads the next field; false at the end and for malformed input. Groups are skipped.
   bool next(Field &field) {
     while (at_ != end_) {
       if (!read(field)) return false;
@@ -83,7 +83,7 @@ class FieldReader {
   bool malformed_ = false;
 };
 
-// Calls `take` with each field, which returns whether it is well-formed.
+// Calls `take` for each field; it returns whether the field is well-formed.
 template <class Take>
 bool walk(std::string_view data, Take take) {
   FieldReader fields(data);
@@ -97,7 +97,7 @@ inline bool is_well_formed(std::string_view data) {
   return walk(data, [](const Field &) { return true; });
 }
 
-// A repeated double, packed or not.
+// Appends a repeated double, packed or not.
 inline bool append(const Field &field, Doubles &to) {
   if (field.kind != eight_bytes && field.kind != message) return true;
   if (field.bytes.size() % sizeof(double)) return false;
@@ -107,7 +107,7 @@ inline bool append(const Field &field, Doubles &to) {
   return true;
 }
 
-// A message of the repeated doubles of one field, which controllers write unpacked.
+// Reads a message with one repeated double field, which controllers write unpacked.
 inline bool read_doubles(std::string_view data, std::uint32_t number, Doubles &to) {
   constexpr std::size_t step = 1 + sizeof(double);
   while (data.size() >= step && data[0] == static_cast<char>(number << 3 | eight_bytes)) {
@@ -119,7 +119,7 @@ inline bool read_doubles(std::string_view data, std::uint32_t number, Doubles &t
   });
 }
 
-// A message of single doubles, numbered from 1.
+// Reads a message of single doubles, numbered from 1.
 inline bool read_numbers(std::string_view data, double *to, std::uint32_t count) {
   return walk(data, [&](const Field &field) {
     if (field.kind == eight_bytes && field.number <= count)

@@ -1,4 +1,4 @@
-// Rows of a recording as records of MCAP. Documented in armlab/kernels/_native.pyi.
+// Encoder of recorded rows as MCAP records. Documented in armlab/kernels/_native.pyi.
 #include <optional>
 
 #include "wire/bytes.h"
@@ -12,7 +12,7 @@ constexpr std::size_t kHead = 31;  // opcode, length, channel, sequence, log and
 constexpr std::size_t kSequence = 11, kLogTime = 15, kPublishTime = 23, kStamp = kHead + 4;
 constexpr std::size_t kMatrix = 16 * sizeof(double), kPose = 7 * sizeof(double), kShortest = 16;
 constexpr std::int64_t kSecond = 1'000'000'000;
-constexpr std::size_t kWorthReleasing = 32;  // rows: fewer take less time than the handing over
+constexpr std::size_t kWorthReleasing = 32;  // rows; below it, releasing the GIL costs more
 
 struct Copy {
   std::size_t to, from, count;
@@ -29,9 +29,9 @@ struct Column {
 };
 
 struct Variant {
-  std::string record;  // the message behind the head of its record
+  std::string record;  // record head and message
   std::vector<Copy> copies;
-  std::size_t needs = 0;  // bytes of a row
+  std::size_t needs = 0;  // required bytes of a row
 };
 
 struct Topic {
@@ -41,11 +41,11 @@ struct Topic {
   std::vector<Variant> variants;
 };
 
-// Position xyz and quaternion xyzw of a homogeneous matrix; w is not negative.
+// Writes position xyz and quaternion xyzw (w >= 0) of a homogeneous matrix.
 void write_pose(const char *from, char *to) {
   double r[16];
   std::memcpy(r, from, sizeof r);
-  // Shepperd's method: divide by the largest of the four components
+  // Shepperd's method: divide by the largest of the four components.
   const double squares[] = {
       r[0] - r[5] - r[10], r[5] - r[0] - r[10], r[10] - r[0] - r[5], r[0] + r[5] + r[10]};
   int largest = 0;
@@ -75,7 +75,7 @@ class RowEncoder {
 
   nb::tuple encode(nb::list rows, std::optional<std::int64_t> first, std::uint64_t at) const {
     if (rows.size() == 0) raise_shape_error("Expected at least one row, got none.");
-    std::vector<nb::bytes> held;  // keeps the bytes alive meanwhile
+    std::vector<nb::bytes> held;  // keeps the bytes alive
     std::vector<std::string_view> views;
     for (nb::handle row : rows) views.push_back(view(held.emplace_back(nb::cast<nb::bytes>(row))));
     Made made{{}, std::vector<std::string>(topics_.size()), 0, 0, 0, 0};
@@ -100,7 +100,7 @@ class RowEncoder {
     std::string data;
     std::vector<std::string> entries;
     std::int64_t earliest, latest;
-    std::size_t needs, got;  // of a row that is too short
+    std::size_t needs, got;  // needed and actual bytes of a row that is too short
   };
 
   static Topic topic(const nb::tuple &given) {
@@ -138,7 +138,7 @@ class RowEncoder {
     }
     if (!fits || (topic.is_pose && (made.copies.size() != 1 || made.copies[0].count != kPose)))
       raise_shape_error(
-          "Expected copies inside of the message, of a pose the one of its 7 numbers, got others.");
+          "Expected copies inside the message, one of 7 numbers for a pose, got other copies.");
     return made;
   }
 

@@ -1,4 +1,5 @@
-// Rows of a recording as bytes, and records of its samples. Documented in _native.pyi.
+// Packer of recorded rows as bytes, and fast creation of frozen dataclasses. Documented in
+// _native.pyi.
 #include <iterator>
 
 #include "wire/bytes.h"
@@ -25,8 +26,8 @@ enum Form {
 constexpr const char *kForms[] = {"count", "real", "flag", "code", "doubles", "fitting", "padded",
     "bits", "wide", "said", "heard", "blank"};
 
-// The offset of an attribute in an object of a class, for slots and items of named tuples: bytes to
-// a pointer. -1 for others, which are read by getattr.
+// The offset in bytes from an object to the pointer of an attribute that is a slot or a named-tuple
+// item. -1 for other attributes, which are read by getattr.
 std::int32_t offset_of(nb::handle kind, nb::handle name) {
   const nb::object found = nb::getattr(kind, name, nb::none());
   if (PyObject_TypeCheck(found.ptr(), &PyMemberDescr_Type))
@@ -39,11 +40,11 @@ std::int32_t offset_of(nb::handle kind, nb::handle name) {
   return static_cast<std::int32_t>(offsetof(PyTupleObject, ob_item) + item * sizeof(PyObject *));
 }
 
-// Data of one field per cycle: small, because caches are cold after a sleep.
+// Per-cycle data of one field: small, because caches are cold after a sleep.
 struct Place {
   std::int32_t offset;
   std::uint32_t start, size;
-  std::int16_t heard;   // of "heard": index of the place that reports it
+  std::int16_t heard;   // for "heard": index of the place that reports it
   std::uint8_t source;  // 0 state, 1 command, 2 tick, 3 record
   std::uint8_t form;
 };
@@ -80,7 +81,7 @@ std::int64_t code(const nb::object &codes, nb::handle text) {
   return found ? whole(found) : 0;
 }
 
-// A mapping as a dict; None if it is empty.
+// Returns a mapping as a dict, or None if it is empty.
 nb::object dict(nb::object record) {
   if (PyDict_CheckExact(record.ptr())) return record;
   const Py_ssize_t size = PyMapping_Size(record.ptr());
@@ -91,7 +92,7 @@ nb::object dict(nb::object record) {
   return made;
 }
 
-// numpy.asarray(value, dtype), contiguous.
+// Returns a contiguous numpy.asarray(value, dtype).
 nb::object plain(nb::handle value, int type) {
   if (PyArray_CheckExact(value.ptr())) {
     PyArrayObject *array = as_array(value);
@@ -146,7 +147,7 @@ class RowPacker {
  private:
   struct Source {
     nb::handle owner;
-    bool is_known = false;  // of the class that the offsets are for
+    bool is_known = false;  // whether the offsets apply to its class
   };
 
   static nb::object attribute(const Source &source, std::int32_t offset, const nb::object &name) {
@@ -201,7 +202,7 @@ class RowPacker {
       for (std::size_t k = 0; k < places_.size(); ++k)
         if (abouts_[k].column == data) place.heard = static_cast<std::int16_t>(k);
       if (place.heard < 0)
-        raise_shape_error("Expected the column of data before " + about.column + ".");
+        raise_shape_error("Expected the data column before " + about.column + ".");
     }
     empty_.append(nothing.c_str(), nothing.size());
     places_.push_back(place);
@@ -276,17 +277,17 @@ class RowPacker {
   std::size_t short_ = std::string::npos;
 };
 
-// object.__setattr__ of each slot: a frozen dataclass is made in a tenth of its constructor's time.
+// object.__setattr__ of each slot: a tenth of the time of a frozen dataclass's constructor.
 nb::object filled(nb::handle kind, nb::tuple slots, nb::tuple values) {
   if (!PyType_Check(kind.ptr()) || slots.size() != values.size())
-    throw nb::type_error("Expected a class, its slots and a value for each.");
+    throw nb::type_error("Expected a class, its slots and one value per slot.");
   auto *type = reinterpret_cast<PyTypeObject *>(kind.ptr());
   const nb::object made = nb::steal(type->tp_alloc(type, 0));
   if (!made.is_valid()) throw nb::python_error();
   for (std::size_t k = 0; k < slots.size(); ++k) {
     const nb::handle slot = slots[k];
     if (!PyObject_TypeCheck(slot.ptr(), &PyMemberDescr_Type))
-      throw nb::type_error("Expected slots of the class.");
+      throw nb::type_error("Expected names of slots of the class.");
     if (Py_TYPE(slot.ptr())->tp_descr_set(slot.ptr(), made.ptr(), nb::handle(values[k]).ptr()))
       throw nb::python_error();
   }

@@ -1,7 +1,7 @@
 """armlab: a robotics laboratory for robot arms.
 
-A robot description and a log yield a model file. Controllers use the model file, and every run records the next log.
-Subpackages and NumPy are imported on first use, because ``armlab --help`` needs none of them.
+Identification turns a robot description and a log into a model file, which controllers use. Every run records a log.
+Subpackages and NumPy are imported on first use, so ``armlab --help`` starts quickly.
 """
 
 from __future__ import annotations
@@ -57,5 +57,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List the public names, including subpackages."""
+    """Return the public names, including subpackages."""
     return sorted(__all__)

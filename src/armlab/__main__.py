@@ -1,4 +1,4 @@
-"""Run the command ``armlab`` as ``python -m armlab``."""
+"""Entry point of ``python -m armlab``, equivalent to the command ``armlab``."""
 
 from armlab.cli import main
 

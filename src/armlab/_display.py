@@ -1,6 +1,7 @@
-"""Display of values: a repr of at most twenty lines, a table in notebooks, and the colours of figures.
+"""Short reprs of at most twenty lines, notebook tables, and figure colours.
 
-`Shown` is the base class of public dataclasses with ``repr=False``; it shows one field per line, and arrays by shape.
+`Shown` is the base class of public dataclasses with ``repr=False``. Its repr has one field per line and shows large
+arrays by their shape.
 """
 
 from __future__ import annotations
@@ -11,25 +12,25 @@ from html import escape
 from typing import Any
 
 # Colour-blind-safe palette: Okabe and Ito, "Color Universal Design" (2008), without yellow, which vanishes on white.
-# Joint i and the axes x, y, z keep their colours in every figure and in the browser.
+# Each joint and each axis has the same colour in every figure and in the browser.
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY, BLACK = "#CC79A7", "#E69F00", "#56B4E9", "#000000"
 GREY = "#4D4D4D"
 
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-"""Colours of joints 1, 2, ...; they repeat after seven."""
+"""Colours of joints 1, 2, ..., repeated after seven joints."""
 AXIS_COLORS = (VERMILION, GREEN, BLUE)
 """Colours of the axes x, y, z."""
 
 
 _WIDTH = 100  # characters per line
-_LINES = 18  # fields listed
-_ENTRIES = 9  # elements of an array written out in full
+_LINES = 18  # lines of fields in a repr
+_ENTRIES = 9  # largest size of an array shown in full
 _ROWS = 40  # rows of a notebook table
 
 
 def brief(value: Any, width: int = _WIDTH) -> str:
-    """Describe a value in one line; arrays of more than a few numbers are shown by their shape."""
+    """Describe a value in one line; arrays with more than a few numbers are shown by their shape."""
     import numpy as np  # not needed for command help
 
     if isinstance(value, np.ndarray):
@@ -75,7 +76,7 @@ class Shown:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], after: Sequence[str] = ()) -> str:
-    """Return a small notebook table with title, header, rows of cells and lines below."""
+    """Return an HTML table for notebooks, with a title, a header, rows of cells, and lines of text below."""
     listed = [list(row) for row in rows]
     body = "".join(f"<tr>{''.join(f'<td>{escape(word)}</td>' for word in row)}</tr>" for row in listed[:_ROWS])
     lines = [*([f"and {len(listed) - _ROWS} more"] if len(listed) > _ROWS else []), *after]

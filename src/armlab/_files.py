@@ -1,4 +1,4 @@
-"""Atomic writing of files, descriptors that survive `os.closerange` by other code, and TOML with bounded size."""
+"""Atomic file writes, descriptors that survive `os.closerange` in other code, and TOML parsing with size limits."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-_APART = 512  # below the usual limit of 1024
+_APART = 512  # lowest high number; below the usual limit of 1024
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a path to write to, which is atomically renamed to `path` on success and deleted on failure.
+    """Yield a temporary path, which is atomically renamed to `path` on success and deleted on failure.
 
-    Every OSError names `path`, unlike the error of a plain write.
+    Unlike plain write errors, every OSError names `path`.
     """
     part = path.with_name(f"{path.name}.part")
     try:
@@ -32,7 +32,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 class Descriptor:
-    """Open descriptor and its file, because the number may belong to a different file once it is closed."""
+    """Open file descriptor that also identifies its file, because a closed number may be reused for another file."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -40,7 +40,7 @@ class Descriptor:
 
     @property
     def is_open(self) -> bool:
-        """Whether the number still refers to the file."""
+        """Whether the number still refers to the same file."""
         return self._file is not None and _file(self.number) == self._file
 
     def same_file(self, number: int) -> bool:
@@ -48,14 +48,14 @@ class Descriptor:
         return self._file is not None and _file(number) == self._file
 
     def close(self) -> None:
-        """Close the descriptor unless its number refers to a different file; a second call does nothing."""
+        """Close the descriptor unless its number now refers to another file; a second call has no effect."""
         if self.is_open:
             os.close(self.number)
         self._file = None
 
 
 def _file(number: int) -> tuple[int, int] | None:
-    """Return the device and inode of an open file."""
+    """Return the device and inode of an open descriptor, or None if it is closed."""
     try:
         about = os.fstat(number)
     except OSError:
@@ -64,7 +64,7 @@ def _file(number: int) -> tuple[int, int] | None:
 
 
 def apart(number: int) -> int:
-    """Move a new descriptor to a high number, which no other code still uses for a closed file; return the number.
+    """Move a new descriptor to a high number, which other code does not mistake for an old file; return the number.
 
     If no high number is available, the descriptor keeps its number.
     """
@@ -77,10 +77,10 @@ def apart(number: int) -> int:
 
 
 _LARGEST = 2**63
-_LONGEST = 1 << 24  # characters; a robot has 5 kB, a motion with its covariance 2 MB
-_MOST = 10_000  # keys and tables; each takes the parser up to 0.3 ms
-_MOST_VALUES = 1 << 20  # values of all arrays; each takes the parser 3 us
-_DEEPEST = 16  # names in a dotted key; parsing time grows with the square of this number
+_LONGEST = 1 << 24  # characters; a robot file has 5 kB, a motion with its covariance 2 MB
+_MOST = 10_000  # keys and tables; parsing one takes up to 0.3 ms
+_MOST_VALUES = 1 << 20  # array values in total; parsing one takes 3 us
+_DEEPEST = 16  # names in a dotted key; parsing time is quadratic in this number
 _QUOTED = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?|\'\'\'.*?(?:\'{3,5}|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
     re.DOTALL,
@@ -94,10 +94,11 @@ class TomlError(ValueError):
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text; raise TomlError for invalid text and for text beyond the bounds.
+    """Parse a TOML text; raise TomlError if it is invalid or exceeds a size limit.
 
-    Python's parser accepts integers of any length, nests as deeply as Python allows, and takes quadratic time for
-    dotted keys. The bounds are therefore 64 bits, 16 names, 16 MiB, and 10 000 keys and tables.
+    Python's parser accepts integers of any length, nests up to Python's recursion limit, and takes quadratic time for
+    dotted keys. This function therefore limits integers to 64 bits, dotted keys to 16 names, the text to 16 MiB, keys
+    and tables to 10 000, and array values to 2^20.
     """
     try:
         _check_size(text)
@@ -126,4 +127,4 @@ def _check(value: Any) -> None:
         for item in value.values() if isinstance(value, dict) else value:
             _check(item)
     elif isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
-        raise ValueError(f"an integer of {value.bit_length()} bits and a sign, although TOML allows 63")
+        raise ValueError(f"an integer of {value.bit_length()} bits plus sign, although TOML allows 63")

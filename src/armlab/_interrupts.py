@@ -1,4 +1,4 @@
-"""External requests to end a program: Ctrl-C, SIGTERM, or a closed terminal."""
+"""Handling of termination requests: Ctrl-C, SIGTERM, or a closed terminal."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from types import FrameType
 
 @contextmanager
 def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle SIGINT, SIGTERM and SIGHUP (unless ignored, as with nohup) with `handler` during the block.
+    """Use `handler` for SIGINT, SIGTERM and SIGHUP (unless ignored, as with nohup) during the block.
 
-    Outside the main thread, this does nothing, because the owner of the process handles signals.
+    Outside the main thread, this has no effect, because the owner of the process handles signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -31,7 +31,7 @@ def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Delay Ctrl-C and similar signals until the end of the block, because compiled modules may lose an interrupt."""
+    """Defer Ctrl-C and similar signals to the end of the block, because compiled modules may lose an interrupt."""
     came: list[int] = []
     with handling(lambda number, _frame: came.append(number)):
         yield

@@ -27,7 +27,7 @@ def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) 
 
 
 def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tuple[Any, ...]:
-    """Return the members of a list or tuple; strings are rejected, although Python would iterate over them."""
+    """Return the items of an iterable as a tuple; raise for strings, although Python can iterate over them."""
     if (
         isinstance(value, str | bytes)
         or not isinstance(value, Iterable)
@@ -38,7 +38,7 @@ def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tup
 
 
 def frozen(value: ArrayLike, what: str) -> np.ndarray:
-    """Return real numbers as a read-only copy with -0.0 replaced by 0.0, so that equal values have equal bytes."""
+    """Return real numbers as a read-only copy with -0.0 replaced by 0.0, so equal values have equal bytes."""
     array = np.array(numbers(value, what))
     array += 0.0
     array.flags.writeable = False
@@ -66,7 +66,7 @@ def make_read_only(result: Any, *names: str) -> None:
 
 
 def flag(value: Any, what: str) -> bool:
-    """Return True or False; raise for anything else, because lists and strings would count as True."""
+    """Return a bool; raise for anything else, because non-empty lists and strings would count as True."""
     if not isinstance(value, bool | np.bool_):
         raise ShapeError(f"Expected {what} to be True or False, got {shortened(value)}.")
     return bool(value)
@@ -94,7 +94,7 @@ def positive(value: Any, what: str, advice: str = "Correct it.", error: type[Arm
 
 
 def check_name(value: Any, what: str, names: Collection[str]) -> None:
-    """Raise UnknownName for a value outside `names`; arrays never match, although == would return an array."""
+    """Raise UnknownName unless `value` is a string in `names`; an array never matches."""
     if not isinstance(value, str) or value not in names:
         raise UnknownName.among(what, value, names)
 
@@ -104,12 +104,12 @@ def generator(seed: Any) -> np.random.Generator:
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool) and seed >= 0
     if not whole and not isinstance(seed, np.random.Generator):
         raise ShapeError(
-            f"Expected a non-negative integer as seed, got {shortened(seed)}. Each seed gives different numbers."
+            f"Expected seed to be a non-negative integer, got {shortened(seed)}. Use, for example, seed=0."
         )
     return np.random.default_rng(seed)
 
 
 def rows_text(rows: np.ndarray) -> str:
-    """Return row numbers for a message (at most the first twenty)."""
+    """Return row numbers as text for a message, at most the first twenty."""
     shown = ", ".join(str(i) for i in rows[:20])
     return shown if len(rows) <= 20 else f"{shown} and {len(rows) - 20} more"

@@ -1,7 +1,7 @@
-"""All errors of armlab.
+"""Exceptions of armlab.
 
 Each message states the expected value, the received value, the location and the remedy. Each class derives from
-`ArmlabError` and, if applicable, from the built-in exception that callers would catch.
+`ArmlabError` and, if applicable, from the corresponding built-in exception.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = [
 
 
 class ArmlabError(Exception):
-    """Base class of all errors that armlab raises on purpose."""
+    """Base class of all exceptions that armlab raises deliberately."""
 
     def __str__(self) -> str:
         """Return the message without the quotes that KeyError adds."""
@@ -41,7 +41,7 @@ class ShapeError(ArmlabError, ValueError):
 
 
 class UnknownName(ArmlabError, KeyError):
-    """An unknown name of a robot, column, link or convention. The message lists the known names."""
+    """An unknown robot, column, link or convention name. The message lists the known names."""
 
     @classmethod
     def among(cls, kind: str, name: object, known: Iterable[str]) -> UnknownName:
@@ -80,9 +80,9 @@ class RobotError(ArmlabError, ValueError):
         """
         advice = f"Load it first: robots.load({value!r})" if isinstance(value, str) else "Load one with robots.load"
         if hasattr(value, "robot"):
-            advice = "Pass its attribute robot"
-            if hasattr(value, "joints"):  # of a kinematic calibration
-                advice += "; convert measured positions with its joints(), references with its command()"
+            advice = "Pass its attribute `robot`"
+            if hasattr(value, "joints"):  # a kinematic calibration
+                advice += "; convert measured positions with joints() and references with command()"
         return cls(f"Expected a Robot, got {shortened(value)}. {advice}.")
 
 
@@ -110,9 +110,9 @@ class LabCommError(ArmlabError, ValueError):
     path : str
         Faulty part of a value, for example "robot_row.pos".
     line : int
-        Line in an `.lc` text, from 1, or None.
+        Line number in an `.lc` text, counted from 1; or None.
     column : int
-        Column in an `.lc` text, from 1, or None.
+        Column number in an `.lc` text, counted from 1; or None.
     """
 
     offset: int | None
@@ -135,7 +135,7 @@ class LabCommError(ArmlabError, ValueError):
 
 
 class FrameError(ArmlabError, ValueError):
-    """Two frames that do not match. The message names both frames."""
+    """Two mismatched frames. The message names both frames."""
 
 
 class ModelMismatchError(ArmlabError, ValueError):
@@ -150,7 +150,7 @@ class ModelMismatchError(ArmlabError, ValueError):
         value : object
             Received value, often the path of a model, or a fit instead of its value.
         """
-        return cls(f"Expected a TorqueModel, got {shortened(value)}. Use models.load, or the value of a fit.")
+        return cls(f"Expected a TorqueModel, got {shortened(value)}. Use models.load, or the `value` of a fit.")
 
 
 class NotExcited(ArmlabError, ValueError):
@@ -161,7 +161,7 @@ class NotExcited(ArmlabError, ValueError):
     directions : tuple of str
         Parameters, joints or directions without excitation.
     spread : tuple of str
-        Excitation of each entry of `directions` in the data, as text.
+        Excitation of each entry of `directions`, as text.
     """
 
     def __init__(self, message: str, directions: Sequence[str] = (), spread: Sequence[str] = ()) -> None:
@@ -171,7 +171,7 @@ class NotExcited(ArmlabError, ValueError):
 
 
 class NotConverged(ArmlabError, RuntimeError):
-    """An iteration that stopped before it reached its tolerance.
+    """An iteration that stopped before reaching its tolerance.
 
     Attributes
     ----------
@@ -191,11 +191,11 @@ class NotConverged(ArmlabError, RuntimeError):
 
 
 class ConcurrentUse(ArmlabError, RuntimeError):
-    """Simultaneous use of a stateful object by two threads."""
+    """Concurrent use of a stateful object by two threads."""
 
 
 class SingularPoseError(ArmlabError, ValueError):
-    """A pose at which a requested quantity is not determined."""
+    """A pose at which a requested quantity is undefined."""
 
 
 class LinkError(ArmlabError, RuntimeError):
@@ -217,16 +217,16 @@ class NoRobot(LinkError):
 
 
 class SessionEnded(LinkError):
-    """An EGM session ended by the robot's controller. The message states the reason."""
+    """An EGM session ended by the robot controller. The message states the reason."""
 
 
 class CommandRefused(LinkError):
-    """A command refused because of a wrong shape, non-finite values, a jump, or a capability that the link lacks."""
+    """A command rejected because of a wrong shape, non-finite values, a jump, or a missing capability of the link."""
 
 
 class ControllerLate(LinkError):
-    """Too many missed deadlines of the user's controller."""
+    """Too many deadlines missed by the user's controller."""
 
 
 class ControllerFailed(LinkError):
-    """An exception of the user's controller (its `__cause__`), or bridge descriptors closed by the controller."""
+    """An exception in the user's controller (`__cause__`), or bridge descriptors closed by the controller."""

@@ -1,6 +1,6 @@
 """Glossary of armlab's symbols with shape, unit, frame, kind and description, read from ``glossary.toml``.
 
-Plot labels, log headers and error messages use it.
+Plot labels, log headers and error messages use the glossary.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ class Symbol(Shown):
 
     Attributes
     ----------
-    name : the symbol as used in code, columns and files.
+    name : symbol as used in code, columns and files.
     shape : shape in words, with N samples and n joints.
     unit : SI unit.
     frame : axes in which the numbers are expressed; empty if not applicable.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
     text : description.
-    column : whether log columns use the symbol. In other files, names such as x, y, e and g have other meanings.
+    column : whether the symbol is a log column. In other files, names such as x, y, e and g have other meanings.
     """
 
     name: str
@@ -60,7 +60,7 @@ def lookup(name: str) -> Symbol:
 
     Raises
     ------
-    UnknownName : if the symbol is not in the glossary; the message lists the known symbols.
+    UnknownName : if the symbol is not in the glossary.
     """
     try:
         return symbols()[name]
@@ -69,6 +69,6 @@ def lookup(name: str) -> Symbol:
 
 
 def label(name: str) -> str:
-    """Return the axis label of a symbol, such as ``"tau [N m]"``, or the bare name if it is not in the glossary."""
+    """Return the axis label of a symbol, such as ``"tau [N m]"``; names that are not in the glossary have no unit."""
     symbol = symbols().get(name)
     return f"{name} [{symbol.unit}]" if symbol and symbol.unit not in ("", "1") else name

@@ -1,7 +1,7 @@
 """Input and output of a controller: `State` and `Command`.
 
-A controller is any callable ``State -> Command``. Fields are explained in docs/egm.md, with names from `glossary.toml`.
-Values missing in the packet are NaN, None or empty, never zero.
+A controller is any callable ``State -> Command``. docs/egm.md explains the fields, whose names are those of
+`glossary.toml`. Values missing from the packet are NaN, None or empty, never zero.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _known(details: Any) -> Any:
 
 
 def _kept(kind: type[Any], values: dict[str, Any]) -> Any:
-    """Return a copied State with read-only arrays."""
+    """Rebuild a copied State with read-only arrays."""
     for value in values.values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
@@ -83,18 +83,18 @@ class State(Shown):
     q_start : array, shape (n,), rad or m
         Position when guidance began.
     q_planned : array, shape (n,), rad or m
-        Reference of the robot's own controller.
+        Reference of the robot controller.
     q_sent : array, shape (n,), rad or m
         Position in the previous reply.
     qd_sent : array, shape (n,), rad/s or m/s
         Velocity in the previous reply.
     clamped : array, shape (n,)
-        Clamps of the previous reply (bits: 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque
-        rate).
+        Active limits in the previous reply (bits: 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32
+        torque rate).
     T_frame_tool : array, shape (4, 4), m
-        Tool pose reported by the robot's controller, in the frame that RAPID activated.
+        Tool pose reported by the robot controller, in the frame activated by RAPID.
     wrench_raw : array, shape (6,), N and N m
-        measuredForce as received; ABB does not document its frame and sign.
+        EGM field measuredForce as received; ABB documents neither its frame nor its sign.
     wrench : array, shape (6,), N and N m
         Calibrated wrench in base axes at the tool point.
     q_ext : array, shape (k,), rad or m
@@ -116,7 +116,7 @@ class State(Shown):
     rapid_digital : bool
         Digital value sent by RAPID.
     robot_ns : int, ns
-        Clock of the robot's controller.
+        Clock of the robot controller.
     t_receive : int, ns
         Arrival time (wall clock).
     sources : mapping
@@ -126,10 +126,10 @@ class State(Shown):
     age : float, s
         Time from arrival to this tick; 0 for the pacing arm.
     details : callable
-        Decodes and returns further fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...);
-        None if the link or log has no further fields.
+        Decodes and returns further fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...),
+        or None if the link or log has none.
     arms : tuple of State
-        State of each arm of a link with several arms, in which case `q` and the other joint arrays are concatenated.
+        State of each arm of a link with several arms, whose joint arrays are then concatenated in `q`, `qd`, ...
     """
 
     t: float
@@ -198,14 +198,14 @@ class Command(Shown):
     tau : array, shape (n,), N m or N
         Joint torques; None if not commanded.
     record : mapping
-        Values by column name, written to the log.
+        Values to write to the log, by column name.
     ends : bool
         Whether the command ends the run.
     q_ext : array, shape (k,), rad or m
-        Positions of the external axes in the order of `State.q_ext`; None if not commanded. They require limits; see
-        `bridge.Limits`.
+        Positions of the external axes in the order of `State.q_ext`, which require `bridge.Limits`; None if not
+        commanded.
     rapid_data : sequence of float
-        At most 40 numbers for RAPID (RobotWare 7), sent once; None sends nothing.
+        Up to 40 numbers for RAPID (RobotWare 7), sent once; None sends nothing.
     rapid_digital : bool
         Digital value for RAPID (RobotWare 7), sent once; None sends nothing.
     """
@@ -219,7 +219,7 @@ class Command(Shown):
     rapid_data: Sequence[float] | np.ndarray | None = None
     rapid_digital: bool | None = None
 
-    if TYPE_CHECKING:  # accepted types; the fields are arrays
+    if TYPE_CHECKING:  # types accepted by the constructor; the fields are arrays
 
         def __init__(
             self,

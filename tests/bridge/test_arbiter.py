@@ -71,12 +71,12 @@ def test_the_first_valid_command_takes_the_arm() -> None:
     assert bench.arbiter.commander("yumi_left") == "labcomm a"
     assert bench.events[0] == "labcomm a commands yumi_left."
     assert bench.answers == [
-        ("labcomm b", "yumi_left is commanded by labcomm a. You may only read. 1 commands refused so far.")
+        ("labcomm b", "yumi_left is commanded by labcomm a. You have read-only access. 1 commands refused so far.")
     ]
     assert bench.arbiter.refused == {"labcomm b": 1}
     assert bench.arbiter.obeyed == {"yumi_left": {"labcomm a": 1}}
     assert bench.warnings == [
-        "A command of labcomm b was refused: yumi_left is commanded by labcomm a. You may only read."
+        "A command of labcomm b was refused: yumi_left is commanded by labcomm a. You have read-only access."
     ]
 
 

@@ -71,7 +71,7 @@ PORTS = ["65536", "0000001000000", "0" * 30 + "70000", "1" * 5000, "٦٥١٠", "
         (["sim://"], "Expected a link"),
         (["sim://a+b"], "one URL per robot, got 2 for 1"),
         ([None], "got None"),
-        (["sim://a?seed=1&loss=0.1", "sim://b?seed=2"], "the same options .* Only the seeds of simulated robots may"),
+        (["sim://a?seed=1&loss=0.1", "sim://b?seed=2"], "same scheme and options, .* Only the seeds of simulated"),
         (["labcomm://a?seed=1", "labcomm://b?seed=2"], "Only the seeds of simulated robots may differ"),
     ],
     ids=range(15),
@@ -135,12 +135,12 @@ def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options
     [
         ("http://x", 1, {}, "egm://127.0.0.1:6510 or sim://"),
         ("egm://", 1, {}, "egm://127.0.0.1:6510 or sim://"),
-        ("egm://127.0.0.1:0?seed=1", 1, {}, "rws=HOST and, with it, .* got seed"),
+        ("egm://127.0.0.1:0?seed=1", 1, {}, "rws=HOST, optionally .* got seed"),
         ("egm://127.0.0.1:0", 1, {"clock": "atomic"}, "clock"),
         ("egm://127.0.0.1:0", 1, {"patience": 0.0}, "patience above 0 s"),
         ("sim://yumi_left", 2, {}, "one URL per robot, got 1 for 2"),
         (["egm://127.0.0.1:6510"] * 2, 2, {}, "a separate port for each arm"),
-        (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "of the same kind"),
+        (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "the same scheme"),
         (["egm://127.0.0.1:0"] * 2, 0, {}, "different names"),
         ("egm://127.0.0.1:0", 3, {}, r"Expected a Robot, got 'yumi_left'\. Load it first"),
         ("egm://127.0.0.1:0", 1, {"codec": 5}, r"wire\.egm\.Codec, got 5\."),
@@ -393,7 +393,7 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
     with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
         play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
     assert log.inspect(tmp_path / "run.mcap").finished
-    assert link.last.reason == "there is no memory to end the run"
+    assert link.last.reason == "the memory needed to end the run is missing"
 
 
 def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:

@@ -76,7 +76,7 @@ def test_a_board_in_images_gives_camera_and_marker() -> None:
     images["3.png"][:] = 128
     found = calibrate.board_poses(images, f"{CHARUCO}:DICT_5X5_100", intrinsics=(K, []))
     assert list(found.failures) == ["3.png"]
-    assert "0 corners of the board" in found.failures["3.png"]
+    assert "0 board corners" in found.failures["3.png"]
     assert found.valid.tolist() == [k != 3 for k in range(5)]
     assert 0.005 < found.sigma < 0.2
     fit = calibrate.fit_hand_eye_images(A, found)

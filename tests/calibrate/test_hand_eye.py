@@ -233,7 +233,7 @@ def test_one_axis_is_named_in_any_direction_and_setup() -> None:
 
 def test_weak_directions_are_refused_by_their_deviation() -> None:
     data = sensors.seen_poses(3, 3, np.radians(2.0))
-    with pytest.raises(NotExcited, match=r"beyond their limit along: .* of T_.* moves with it\), [0-9.]+ (m|rad)"):
+    with pytest.raises(NotExcited, match=r"exceed their limits along: .* of T_.* moves with it\), [0-9.]+ (m|rad)"):
         fit_hand_eye(**data.given, noise=CAMERA)
     fit = fit_hand_eye(**data.given, noise=CAMERA, limits=(100.0, 100.0))
     assert LIMITS == (0.2, 0.2)

@@ -166,9 +166,9 @@ class TestRefusals:
         assert (fit.excitation.rank, fit.excitation.expected) == (25, 26)
 
     def test_too_few(self, case) -> None:
-        with pytest.raises(NotExcited, match=r"at least 30 numbers .* got 24. Measure at least 5 samples"):
+        with pytest.raises(NotExcited, match=r"at least 30 values .* got 24. Measure at least 5 samples"):
             fit_kinematics(case.robot, case.q[:4], pose=case.pose[:4], noise=NOISE)
-        with pytest.raises(NotExcited, match=r"at least 27 numbers .* got 24. Measure at least 9 samples"):
+        with pytest.raises(NotExcited, match=r"at least 27 values .* got 24. Measure at least 9 samples"):
             fit_kinematics(case.robot, case.q[:8], position=case.pose[:8, :3, 3], noise=1e-4)
         with pytest.raises(NotExcited, match="an empty q"):
             fit_kinematics(case.robot, case.q[:0], pose=case.pose[:0])

@@ -245,7 +245,7 @@ def test_most_samples_must_agree(case) -> None:
     pose = spoilt(case.pose, np.random.default_rng(0), 75, 0.3, 0.2)
     fit = fit_kinematics(case.robot, case.q, pose=pose, noise=NOISE, robust=True)
     assert np.flatnonzero(fit.outliers).tolist() == list(range(75))
-    words = r"most samples to fit one arm, got 1[0-9][0-9] outliers among 150.*given noise may be too small"
+    words = r"most samples to fit one arm, got 1[0-9][0-9] outliers among 150.*whether the given noise is too small"
     with pytest.raises(NotConverged, match=words):
         fit_kinematics(case.robot, case.q, pose=case.pose, noise=(1e-6, 1e-6), robust=True)
 
@@ -368,5 +368,5 @@ class TestJointErrors:
             lambda: fit_kinematics(value, q, pose=np.tile(np.eye(4), (20, 1, 1))),
             lambda: contact.Estimator(model, value),
         ):
-            with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
+            with pytest.raises(RobotError, match=r"its attribute `robot`; .* joints\(\) .* command\(\)"):
                 part()

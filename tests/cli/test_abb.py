@@ -67,7 +67,7 @@ NAMED = {
     "main": "main is in MainModule. A task must have exactly one main",
     "module": "ArmlabYumiL is loaded with different content",
     "file": "ArmlabYumiL.mod has different content",
-    "semantic": "load it into T_ROB_L, but it failed",
+    "semantic": "load the module into T_ROB_L, but it failed",
     "device": "no 'armlab_l' among none. Add a device",
     "address": "armlab_l sends to 192.0.2.7:6511. Set its Remote Address",
     "interface": "no 'armlab' among none. Add External Motion Interface Data",

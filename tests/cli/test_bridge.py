@@ -198,10 +198,10 @@ def test_authority_and_users_are_kept(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (tmp_path / "bridge.key").read_bytes() != before
     with pytest.raises(ConfigError, match="names or addresses"):
         write_certificates(tmp_path, ["a,DNS:b"])
-    with pytest.raises(ConfigError, match="Expected a folder"):
+    with pytest.raises(ConfigError, match="Expected a writable folder"):
         write_certificates(tmp_path / "lab.pem")
     (tmp_path / "lab.key").write_text("no key")
-    with pytest.raises(ConfigError, match="openssl to write a certificate"):
+    with pytest.raises(ConfigError, match="openssl to create a certificate"):
         write_certificates(tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ConfigError, match="Expected the program openssl"):

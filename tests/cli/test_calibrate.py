@@ -172,7 +172,7 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     assert not judge(held).good
     rough = replace(fit, sigma=np.array([0.03, 0.001]))
     assert judge(rough).bad == [
-        "The noise of position [m], 0.03, is too large for a sensor, so some samples are probably wrong."
+        "The noise of position [m] is 0.03, which is too large for a sensor. Some samples are probably wrong."
     ]
     asked = replace(fit, doubts=("positions spread over 465 m: millimetres given as metres?",))
     assert judge(asked).bad == ["Positions spread over 465 m: millimetres given as metres?"]

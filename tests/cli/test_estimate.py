@@ -97,7 +97,7 @@ def test_every_method_answers(pushed: str, tmp_path, command, method: str) -> No
     assert json.loads(command([*words, "--json", "-o", tmp_path / "est.mcap"]).out)["method"] == method
     assert ("wrench_interval" in read(tmp_path / "est.mcap")) == (method == "interval")
     said = command(words).out
-    assert ("limit from  limit to  share beyond zero" in said) == (method == "interval")
+    assert ("limit from  limit to  fraction beyond zero" in said) == (method == "interval")
     assert ("limits [N]" in said) == (method == "interval" and "contact " in said)
 
 
@@ -148,7 +148,7 @@ def test_a_log_that_cannot_be_true_is_refused_or_nothing_of_it_is_called_good(
     backwards = table.with_column("qd", -table["qd"])
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: backwards)
     said = command(words).out
-    assert "not good: Expected qd to be the derivative of q" in said
+    assert "problems: Expected qd to be the derivative of q" in said
     assert "\ngood: " not in said
 
 
@@ -196,9 +196,9 @@ def with_limits(table: Table) -> Table:
         ("good", "against the true wrench", lambda t: t),
         ("bad", "against the true wrench", lambda t: t.with_column("wrench_true", t["wrench_true"] + 20.0)),
         ("good", "against the force sensor", measured),
-        ("bad", "50.0 %), between 0.00 and 3.99 s, are not finite", lambda t: flagged(t, INVALID)),
-        ("bad", "In 50 % of the rows every joint torque is within its friction bound", lambda t: flagged(t, STUCK)),
-        ("bad", "In 50.0 % of the rows no wrench at the tool explains", lambda t: flagged(t, INFEASIBLE)),
+        ("bad", "50.0 %), between 0.00 and 3.99 s, have non-finite values", lambda t: flagged(t, INVALID)),
+        ("bad", "In 50 % of the rows, every joint torque is within its friction bound", lambda t: flagged(t, STUCK)),
+        ("bad", "In 50.0 % of the rows, no wrench at the tool explains", lambda t: flagged(t, INFEASIBLE)),
         ("bad", "50.0 % of the rows are at singular poses", lambda t: flagged(t, SINGULAR)),
         ("ahead", "--method interval", lambda t: flagged(t, STUCK, 1)),
         ("ahead", "wrench_interval", lambda t: with_limits(flagged(t, STUCK, 1))),
@@ -266,7 +266,7 @@ def test_limits_of_an_axis_and_of_a_contact(table: Table, limited: Table) -> Non
     assert f_x["limit_high"] == 9.0
     assert f_x["proven"] == pytest.approx(np.mean(table.t >= 2.0))
     head, first, *_ = rows(limited)
-    assert head[-3:] == ("limit from", "limit to", "share beyond zero")
+    assert head[-3:] == ("limit from", "limit to", "fraction beyond zero")
     assert first[-3:-1] == ("5.00", "9.00")
     nothing = axes(table.with_column("wrench_interval", np.full((len(table), 6, 2), np.nan)))[0]
     assert np.isnan(nothing["limit_low"])

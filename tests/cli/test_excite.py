@@ -34,7 +34,7 @@ def test_the_motion_is_written_and_what_it_tells_is_printed(tmp_path, command) -
     assert "first moments" in said.out
     assert "Coulomb" in said.out
     assert "excitation " in said.out
-    for step in ("choosing among candidates", "searching around the best", "predicting parameter precision"):
+    for step in ("evaluating candidates", "refining the best candidate", "predicting parameter precision"):
         assert f"design: {step}" in said.err
     found = columns(path)
     robot = robots.load("yumi_left")

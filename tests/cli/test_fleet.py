@@ -60,7 +60,7 @@ def test_bad_input(logs: Path, tmp_path: Path, command) -> None:
     (logs / "one.mcap").unlink()
     words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml")]
     for more, code, sentence in (
-        ([], cli.WRONG_USE, "Give --robot"),
+        ([], cli.WRONG_USE, "Add --robot"),
         (["--robot", "yumi_left"], cli.FAILED, "a usable log among 1, got none"),
         (["--robot", "yumi_left", "--workers", "0"], cli.WRONG_USE, "at least one worker, got 0"),
     ):
@@ -128,7 +128,7 @@ def test_a_model_that_is_not_good_is_saved_by_force_only(logs: Path, fitted, mon
     monkeypatch.setattr("armlab.fleet.identify", lambda *_, **__: found)
     words = ["fleet", "identify", logs / "one.mcap", "-o", logs / "model.toml"]
     said = command(words, cli.DOUBTFUL)
-    assert "not good: Joint 2 reads half." in said.out
+    assert "problems: Joint 2 reads half." in said.out
     assert "not saved" in said.err
     assert not (logs / "model.toml").exists()
     command([*words, "--force"])

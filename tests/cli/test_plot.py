@@ -72,7 +72,7 @@ def test_one_arm_of_a_recording_of_both(tmp_path: Path) -> None:
     ]
     both = log.merge(pieces, tmp_path / "both.mcap")
     assert LogPart(arm="yumi_right").read(both)["q"][0, 0] == 2.0
-    with pytest.raises(LogError, match=r"--arm of commands.* which holds yumi_left, yumi_right"):
+    with pytest.raises(LogError, match=r"--arm on the command line.* which holds yumi_left, yumi_right"):
         LogPart().read(both)
 
 

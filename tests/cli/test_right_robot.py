@@ -31,7 +31,7 @@ def _longer(robot: Robot) -> Robot:
 TILTED = LEFT.T_base_mount @ se3.from_rp(so3.exp([0.0, 0.2, 0.0]), np.zeros(3))
 OTHERS: dict[str, tuple[Robot, str]] = {
     "tool": (LEFT.with_tool(se3.from_rp(np.eye(3), [0.0, 0.0, 0.12])), "tool moved by 0.12 m"),
-    "mount": (LEFT.with_base(TILTED), "mount turned by 11.46 deg"),
+    "mount": (LEFT.with_base(TILTED), "mount rotated by 11.46 deg"),
     "limits": (replace(LEFT, qd_max=LEFT.qd_max * 0.5), "speed limit of joint 1"),
     "links": (_longer(LEFT), "link from joint 3 to joint 4"),
     "arm": (robots.load("yumi_right"), "mount moved by"),

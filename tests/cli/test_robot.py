@@ -68,10 +68,10 @@ def test_show_prints_the_tree_of_a_urdf(gripper: Path, capsys: pytest.CaptureFix
     out, err = capsys.readouterr()
     assert out.splitlines() == [
         "gripper: 3 links, 2 joints",
-        "link      joint above  kind       from    to  unit  follows",
+        "link      parent joint  kind       from    to  unit  follows",
         "palm",
-        "  finger  close        prismatic     0  0.04  m",
-        "  thumb   oppose       prismatic     0  0.04  m     -1 close +0",
+        "  finger  close         prismatic     0  0.04  m",
+        "  thumb   oppose        prismatic     0  0.04  m     -1 close +0",
     ]
     assert "--tip finger or thumb" in err
     show(str(gripper), json=True)

@@ -115,7 +115,7 @@ def test_check_spread_judges_the_deviation_and_not_the_rank() -> None:
     assert good.weakest == "viscous (0.01 m)"
     assert "good" in good.text()
     J[2, 2] = 10.0  # full rank, but a deviation of 0.1 m
-    with pytest.raises(NotExcited, match=r"beyond their limit along: viscous \(0.1 m\)") as caught:
+    with pytest.raises(NotExcited, match=r"exceed their limits along: viscous \(0.1 m\)") as caught:
         check_spread(J, NAMES, UNITS, LIMITS, "model")
     assert caught.value.spread == ("2 times the limit",)
 

@@ -112,7 +112,7 @@ def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> No
     A, y = problems.draw(3, 600)
     A[60:, 0, 2] *= 1e-5  # one block of ten tells the third parameter
     rows = list(Rows.of(A, y, np.arange(600) // 60))
-    with pytest.raises(NotExcited, match="Move every joint during the whole record"):
+    with pytest.raises(NotExcited, match="Move every joint throughout the recording"):
         least_trimmed_squares(least_squares(rows, problems.names))
 
 

@@ -161,7 +161,7 @@ def test_exact_data_and_too_few() -> None:
     R = np.repeat(truth[None], 5, axis=0)
     found = nonlinear_least_squares(rotations(R, None), np.eye(3))
     assert so3.angle(found.value, truth) < 1e-12
-    with pytest.raises(NotExcited, match="at least 4 numbers to fit the mean rotation, got 3"):
+    with pytest.raises(NotExcited, match="at least 4 residuals to fit the mean rotation, got 3"):
         nonlinear_least_squares(rotations(R[:1], None), np.eye(3))
 
 

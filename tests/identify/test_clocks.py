@@ -204,7 +204,7 @@ def test_torques_as_they_should_be_raise_no_doubt(truth, massive, excited, short
 
 
 @pytest.mark.parametrize(("factors", "words"), [
-    (dict.fromkeys([f"j{k}" for k in range(1, 8)], 0.08), r"0\.0\d+ .* these masses require: currents in ampere\?"),
+    (dict.fromkeys([f"j{k}" for k in range(1, 8)], 0.08), r"0\.0\d+ .* required by these masses: currents in ampere\?"),
     *(({f"j{k}": 0.08}, rf"joint {k} reads 0\.0\d+ .* these masses require: currents in ampere") for k in (1, 4, 7)),
     *(({f"j{k}": -1.0}, rf"joint {k}: the sign is reversed") for k in (1, 4, 7)),
     (dict.fromkeys([f"j{k}" for k in range(1, 8)], 0.01), "possibly motor torques, gear ratio 100"),
@@ -287,7 +287,7 @@ def test_joints_that_rest_are_held_by_the_prior_and_named(short_arm, short_fit) 
     """Friction, figures and ranges of joint 2 are the prior's; its parameters stay in their place."""
     table = short_arm.log(5, 2000, still={1: 0.3})
     fit = fit_dynamics(table, short_arm.robot, prior=short_fit)
-    assert "at rest, friction from the prior: joint 2" in fit.report()
+    assert "at rest, with friction from the prior: joint 2" in fit.report()
     np.testing.assert_array_equal(of_rest(fit, 1), of_rest(short_fit, 1))
     scale = fit.value.covariance.alpha2, short_fit.value.covariance.alpha2
     assert scale[0] * fit.value.covariance.C0[1] == pytest.approx(scale[1] * short_fit.value.covariance.C0[1])

@@ -111,8 +111,8 @@ def test_progress_is_told_and_changes_nothing() -> None:
     told = design_excitation(robot, seconds=10, rounds=5, progress=lambda *words: heard.append(words))
     quiet = design_excitation(robot, seconds=10, rounds=5)
     assert np.array_equal(told.sample(np.array(3.0))[0], quiet.sample(np.array(3.0))[0])
-    assert heard[0] == (0, 65, "choosing among candidates")
-    assert heard[-2:] == [(64, 65, "searching around the best"), (65, 65, "done")]
+    assert heard[0] == (0, 65, "evaluating candidates")
+    assert heard[-2:] == [(64, 65, "refining the best candidate"), (65, 65, "done")]
     assert [done for done, *_ in heard] == list(range(66))
 
 

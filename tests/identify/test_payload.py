@@ -340,7 +340,7 @@ def test_an_identified_model_gets_bodies_without_a_prior(fitted, bodies) -> None
     assert found.growth < 0.01
     moments = inertia.principal_moments(found.links)
     assert np.all(moments[:, 0] + moments[:, 1] >= moments[:, 2])
-    assert "residual grows" in found.text()
+    assert "residual increases" in found.text()
     q = np.random.default_rng(1).uniform(-1, 1, (50, 7))
     zero = np.zeros_like(q)
     np.testing.assert_allclose(

@@ -143,13 +143,13 @@ def test_out_apart_from_the_parameters(name: str, size: tuple[int, ...]) -> None
     chain, memory = kernels.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4)), np.zeros(200)
     parameters = {"gravity": memory[:3], "pi": memory[:40].reshape(4, 10)}
     arguments = [parameters.get(argument, np.zeros(4)) for argument in METHODS[name]]
-    with pytest.raises(ShapeError, match=r"Expected out to be apart from (gravity|pi), got arrays that share memory"):
+    with pytest.raises(ShapeError, match=r"Expected out not to share memory with (gravity|pi), got overlapping arrays"):
         getattr(chain, name)(*arguments, out=memory[2 : 2 + np.prod(size)].reshape(size))
 
 
 def test_momentum_into_arrays_apart(arm: Any, inputs: dict[str, np.ndarray]) -> None:
     both = np.zeros((2, 35, 4))
-    with pytest.raises(ShapeError, match=r"out\[1\] and out\[0\] to be apart, got arrays that share memory"):
+    with pytest.raises(ShapeError, match=r"out\[1\] and out\[0\] not to share memory, got overlapping arrays"):
         kernels.RigidBody(arm, inputs["gravity"], inputs["pi"]).momentum(inputs["q"], inputs["qd"], out=(both, both))
 
 

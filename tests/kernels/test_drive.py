@@ -76,7 +76,7 @@ def test_model_torque_agrees(model: SimpleNamespace) -> None:
     shared = np.zeros(q.size + 69)
     shared[:70] = model.link_parameters.ravel()
     links = shared[:70].reshape(7, 10)
-    with pytest.raises(ShapeError, match="Expected out to be apart from links"):
+    with pytest.raises(ShapeError, match="Expected out not to share memory with links"):
         kernels.model_torque(*arguments[:2], links, *arguments[3:], out=shared[69:].reshape(q.shape))
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-12 * np.nanmax(np.abs(found[0])))
     assert np.array_equal(np.flatnonzero(np.isnan(found[1]).any(axis=1)), [0, 50])

@@ -24,8 +24,8 @@ PUBLIC = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef
 def test_without_the_extension_one_sentence_says_what_to_install(extension: str) -> None:
     program = f"import sys, types; sys.modules['armlab.kernels._native'] = {extension}; import armlab.kernels"
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False).stderr
-    assert "MissingExtra: Expected the compiled kernels of armlab, got none of this version" in said
-    assert "Install a wheel of armlab, or install a C++ compiler and build it: `make -B setup`" in said
+    assert "MissingExtra: Expected the compiled kernels of this armlab version, got none" in said
+    assert "Install an armlab wheel, or install a C++ compiler and run `make -B setup`" in said
 
 
 def test_the_stub_has_every_kernel_and_no_other() -> None:

@@ -97,17 +97,17 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("solve", {"axis": (0.0, 0.0, 0.0)}, "no length"),
     ("solve", {"T_base_tool": np.zeros((2, 4, 4))}, r"T_base_tool\[0\] that is not"),
     ("follow", {"q0": np.zeros(7), "change": -1.0}, "change >= 0, got -1"),
-    ("path", {"T_base_tool": EYE}, r"shape \(N, 4, 4\), one pose after the other, got \(4, 4\)"),
+    ("path", {"T_base_tool": EYE}, r"shape \(N, 4, 4\), poses in path order, got \(4, 4\)"),
     ("path", {"T_base_tool": np.zeros((2, 3, 3))}, r"shape \(\.\.\., 4, 4\), got \(2, 3, 3\)"),
     ("path", {"T_base_tool": np.stack([EYE, 2 * EYE])}, r"got T_base_tool\[1\] that is not"),
     ("path", {"T_base_tool": np.full((1, 4, 4), np.nan)}, r"got T_base_tool\[0\] that is not"),
     ("path", {"q0": np.zeros(6)}, r"q0 of shape \(7,\), got \(6,\)"),
-    ("path", {"q0": np.full(7, np.inf)}, "finite joint positions, got others in q0"),
-    ("path", {"change": np.full(7, np.nan)}, "change >= 0, got others"),
-    ("path", {"change": np.full(7, -0.1)}, "change >= 0, got others"),
+    ("path", {"q0": np.full(7, np.inf)}, "finite joint positions, got NaN or Inf in q0"),
+    ("path", {"change": np.full(7, np.nan)}, "change >= 0, got another value"),
+    ("path", {"change": np.full(7, -0.1)}, "change >= 0, got another value"),
     ("path", {"change": np.zeros(6)}, r"change of shape \(7,\), got \(6,\)"),
     ("path", {"reference": np.zeros(6)}, r"Expected posture of shape \(7,\) or one posture per goal"),
-    ("path", {"reference": np.full((2, 7), np.inf)}, r"others in posture\[0\]"),
+    ("path", {"reference": np.full((2, 7), np.inf)}, r"NaN or Inf in posture\[0\]"),
     ("path", {"scale": np.ones(5)}, r"scale of shape \(7,\), got \(5,\)"),
     ("path", {"objective": 4}, "an objective from 0 to 3"),
     ("path", {"task": 4}, "a task of 6, 5, 3 or 2 rows, got 4"),
@@ -126,7 +126,7 @@ def test_refusals(way: str, change: dict[str, Any], words: str) -> None:
 
 def test_refused_limits() -> None:
     chain = kernels.Chain(TWO.repeat(2, axis=0)[:3], [False, False])
-    with pytest.raises(ShapeError, match="q_min <= q_home <= q_max and a finite q_home, got others at joint 2"):
+    with pytest.raises(ShapeError, match="q_min <= q_home <= q_max and a finite q_home, got other values at joint 2"):
         kernels.InverseSolver(chain, [0.0, 1.0], [1.0, 2.0], [0.5, 0.5])
     with pytest.raises(ShapeError, match=r"q_max of shape \(2,\), got \(3,\)"):
         kernels.InverseSolver(chain, [0.0, 1.0], [1.0, 2.0, 3.0], [0.5, 1.5])

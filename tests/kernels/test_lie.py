@@ -112,7 +112,7 @@ def poses(*changes: tuple[tuple[int, ...], float]) -> np.ndarray:
 EYES = np.tile(np.eye(3), (3, 1, 1))
 NO_ROTATION = "Expected R{} to be a rotation within 1e-05, got {}. Project it first"
 NOT_UNIT = "Expected {} of length 1 within 0.001 (wxyz), got length {}."
-LAST_ROW = "Expected (0, 0, 0, 1) as the last row of T{}, got one off by {}."
+LAST_ROW = "Expected (0, 0, 0, 1) as the last row of T{}, got an error of {}."
 REFUSED = [
     ("rotations", (np.zeros((2, 3)), "R_x"), "Expected R_x of shape (..., 3, 3), got (2, 3)."),
     ("rotations", ("north", "R"), "Expected R to be an array of real numbers, got str"),

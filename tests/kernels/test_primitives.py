@@ -210,7 +210,7 @@ def test_a_goal_half_a_turn_away_breaks_nothing() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"t": [0.0, 0.1, 0.1]}, "times that increase"),
+        ({"t": [0.0, 0.1, 0.1]}, "increasing times"),
         ({"t": []}, "at least one time"),
         ({"t": [0.0, np.nan]}, "finite t"),
         ({"t": [0.0, 1e9]}, "time constants"),
@@ -371,9 +371,9 @@ def test_bad_obstacles_are_refused() -> None:
     law = kernels.Primitive([0.5], [0.5], np.ones((1, 2)), 25.0, 156.25, 1.0, 0.4, "time")
     for words, call in {
         "0 <= clearance < reach": lambda m=kernels: m.Obstacles(3, None, None, 0.2, 0.1),
-        "2 or 3 axes of the space": lambda m=kernels: m.Obstacles(4, None, None, 0.0, 0.1),
+        "2 or 3 dimensions": lambda m=kernels: m.Obstacles(4, None, None, 0.0, 0.1),
         "links from 1 to 7": lambda m=kernels, c=chain: m.Obstacles(c, [8.0], good[:, :7], 0.0, 0.1),
-        "radius of 0 or more": lambda f=space: f.place(good - 1.0),
+        "radius >= 0": lambda f=space: f.place(good - 1.0),
         "finite capsules": lambda f=space: f.place(good * np.nan),
         "capsules of shape": lambda f=space: f.place(np.zeros((1, 7))),
         "finite y": lambda f=space: f.add(np.full(3, np.nan), good[0, :3], good[0, :3], good[0, :3]),

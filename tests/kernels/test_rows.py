@@ -183,7 +183,7 @@ def test_places_that_contradict_themselves_are_refused() -> None:
         (("a", "state", "seq", "count", bytes(4), None), "fit the form count for a"),
         (("a", "state", "converged", "flag", bytes(4), None), "fit the form flag for a"),
         (("a", "state", "qd_source", "code", eight, None), "fit the form code for a"),
-        (("a", "state", "rapid_digital", "heard", eight, "data"), "Expected the column of data before a"),
+        (("a", "state", "rapid_digital", "heard", eight, "data"), "Expected the data column before a"),
     ):
         with pytest.raises(ShapeError, match=message):
             kernels.RowPacker(kinds, [place], "none")
@@ -253,13 +253,13 @@ def test_topics_that_contradict_themselves_are_refused() -> None:
     for columns, variants, is_pose, message in (
         ([], [], False, "for each set of optional columns, got 0"),
         ([(0, bytes(8), True)], [(MESSAGE, [])], False, "for each set of optional columns, got 1"),
-        ([], [(bytes(11), [])], False, "copies inside of the message"),
-        ([], [(MESSAGE, [(12, 0, 5)])], False, "copies inside of the message"),
-        ([], [(MESSAGE, [(-1, 0, 1)])], False, "copies inside of the message"),
-        ([], [(MESSAGE, [(0, 0, -1)])], False, "copies inside of the message"),
-        ([], [(MESSAGE, [(12, -1, 1)])], False, "copies inside of the message"),
-        ([], [(MESSAGE, [(0, 0, 16)])], True, "of a pose the one"),
-        ([], [(bytes(70), [])], True, "of a pose the one"),
+        ([], [(bytes(11), [])], False, "copies inside the message"),
+        ([], [(MESSAGE, [(12, 0, 5)])], False, "copies inside the message"),
+        ([], [(MESSAGE, [(-1, 0, 1)])], False, "copies inside the message"),
+        ([], [(MESSAGE, [(0, 0, -1)])], False, "copies inside the message"),
+        ([], [(MESSAGE, [(12, -1, 1)])], False, "copies inside the message"),
+        ([], [(MESSAGE, [(0, 0, 16)])], True, "one of 7 numbers for a pose"),
+        ([], [(bytes(70), [])], True, "one of 7 numbers for a pose"),
     ):
         with pytest.raises(ShapeError, match=message):
             kernels.RowEncoder([(1, True, columns, variants, is_pose)])

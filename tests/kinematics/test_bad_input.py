@@ -125,7 +125,7 @@ WRONG = [  # arguments of the inverse
     ({"T_base_tool": np.zeros((5, 3, 4))}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(5, 3, 4\)"),
     ({"q0": np.zeros(5)}, ShapeError, r"q0 of shape \(7,\) or one posture per goal of T_base_tool \(4, 4\), got"),
     ({"q0": np.zeros((2, 7))}, ShapeError, r"q0 of shape \(7,\) or one posture per goal"),
-    ({"q0": np.full(7, np.inf)}, ShapeError, "finite joint positions, got others in q0"),
+    ({"q0": np.full(7, np.inf)}, ShapeError, "finite joint positions, got NaN or Inf in q0"),
     ({"q0": "home"}, ShapeError, "q0"),
     ({"posture": np.zeros(6), "objective": "posture"}, ShapeError, r"Expected posture of shape \(7,\)"),
     ({"task": "axis", "axis": (0, 0, 0)}, ShapeError, "axis to be a direction"),

@@ -266,11 +266,11 @@ def test_reports() -> None:
     robot = robots.load("irb2400")
     T = reachable(robot, 4, seed=1)[1]
     one = inverse(robot, forward(robot, robot.q_home), robot.q_home)
-    assert repr(one) == "IkSolution(Solved to 0 m and 0 rad in 0 iterations from 1 start.)"
+    assert repr(one) == "IkSolution(Solved to within 0 m and 0 rad in 0 iterations from 1 start.)"
     np.testing.assert_array_equal(one.q, robot.q_home)
     T[2, 0, 3] += 10.0
     text = inverse(robot, T.reshape(2, 2, 4, 4)).report()
-    assert text.startswith("3 of 4 goals solved, to ")
+    assert text.startswith("3 of 4 goals solved to within ")
     assert text.endswith("; not solved: 1 out of reach, first at index 1, 0.")
     none = inverse(robot, np.empty((0, 4, 4)), np.empty((0, 6)), history=True, strict=True)
     assert (none.q.shape, none.success.shape, none.report()) == ((0, 6), (0,), "0 of 0 goals solved.")

@@ -123,7 +123,7 @@ def test_a_description_of_the_bridge_brings_its_meshes(bridge: Any, following: A
 def test_several_bridges_need_a_name(bridge: Any, following: Any, hear_until: Any) -> None:
     bridge(LEFT, cell="a")
     bridge(RIGHT, cell="b")
-    with pytest.raises(ConfigError, match="Give --cell NAME"):
+    with pytest.raises(ConfigError, match="Specify --cell NAME"):
         following().hear(0.0)
     running = following(cell="b")
     hear_until(running, lambda: running.robots)

@@ -163,8 +163,8 @@ def test_a_sample_that_is_declared_with_two_types(tmp_path: Path) -> None:
     assert read_labcomm(declared_twice(path, "int", 3, "double", 1.5), rate=1.0)["x"].tolist() == [3.0, 1.5]
     assert read_labcomm(declared_twice(path, "boolean", True, "int", 7), rate=1.0)["x"].tolist() == [1, 7]
     for first, second, told in (
-        (("int", 3), ("string", "a"), "numbers or texts in x, got both"),
-        (("string", "4"), ("double", 1.5), "numbers or texts in x, got both"),
+        (("int", 3), ("string", "a"), "numbers or strings in x, got both"),
+        (("string", "4"), ("double", 1.5), "numbers or strings in x, got both"),
         (("double", 7.5), ("double[3]", [1.0, 2.0, 3.0]), "arrays of 0 dimensions in x, got 1"),
         (("double[2]", [1.0, 2.0]), ("double", 7.5), "arrays of 1 dimensions in x, got 0"),
     ):

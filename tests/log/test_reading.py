@@ -230,7 +230,7 @@ def test_descriptions_that_contradict_the_glossary_are_refused(
         return {key: text.replace('"unit": "rad"', '"unit": "deg"') for key, text in whole(topic, slots).items()}
 
     monkeypatch.setattr(messages.Topic, "metadata", other_unit)
-    with pytest.raises(LogError, match="Expected supported columns"):
+    with pytest.raises(LogError, match="Expected valid columns"):
         read(recording(3, name="degrees.mcap"))
 
 

@@ -326,7 +326,7 @@ def test_rates() -> None:
             table.resample(rate)
     with pytest.raises(ShapeError, match="t in seconds"):
         replace(table, t=1e9 * table.t).resample(100.0)
-    with pytest.raises(ShapeError, match=r"between 0 and 1 s, got 1\.01 s in row 1. A table is not extrapolated"):
+    with pytest.raises(ShapeError, match=r"between 0 and 1 s, got 1\.01 s in row 1. Tables are not extrapolated"):
         table.resample(np.array([0.5, 1.01]))
     with pytest.raises(ShapeError, match="two rows"):
         ramp(1).resample(100.0)

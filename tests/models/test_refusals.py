@@ -52,7 +52,7 @@ FIELDS: list[tuple[Any, dict[str, Any], str]] = [
     (BASIS, {"position_widths": np.zeros((2, 2))}, "positive widths"),
     (BASIS, {"speeds": BASIS.speeds[:1]}, "shape"),
     (FrictionMap(BASIS, np.zeros((2, 2, 2, 2))), {"coefficients": np.zeros((2, 2, 2, 4))}, "coefficients"),
-    (LINES, {"joint": [1, 0]}, "joint by joint"),
+    (LINES, {"joint": [1, 0]}, "ascending order of joints"),
     (LINES, {"widths": 0 * WIDTHS}, "ascending speeds"),
     (LINES, {"cycles": [1.0, np.nan]}, "finite cycles"),
     (LINES, {"coefficients": np.ones((2, 3, 8, 2))}, "coefficients"),

@@ -357,7 +357,7 @@ OBSTACLES: list[Wrong] = [
     (ConfigError, "2 or 3 coordinates", lambda: avoiding(SEVEN)),
     (ConfigError, "of 7 coordinates", lambda: avoiding(SPACE, robot=ROBOT)),
     (ConfigError, "links from 1 to 7, got 8", lambda: avoiding(SEVEN, robot=ROBOT, links={8: NEAR})),
-    (ConfigError, "joints of a robot", lambda: avoiding(SPACE).controller()),
+    (ConfigError, "in joint space", lambda: avoiding(SPACE).controller()),
     (ConfigError, "only with a robot", lambda: avoiding(DMP, [BALL], tool=BALL)),
     (ConfigError, "only with a robot", lambda: avoiding(DMP, [BALL], links={1: BALL})),
     (UnknownName, "form", lambda: avoiding(SPACE, form="wall")),

@@ -197,7 +197,7 @@ def test_the_surface_is_the_image_of_unit_speeds(name: str, part: str) -> None:
         from_centre = (np.asarray(ball._faces).reshape(-1, 3) - centre) / scale
         assert np.einsum("ki,ij,kj->k", from_centre, np.linalg.inv(J @ J.T), from_centre) == pytest.approx(1, rel=0.05)
     s = np.linalg.svd(J, compute_uv=False)
-    assert f"half axes {', '.join(f'{x:.3g}' for x in s)} {'m/s' if part == 'position' else 'rad/s'}" in ax.get_title()
+    assert f"half-axes {', '.join(f'{x:.3g}' for x in s)} {'m/s' if part == 'position' else 'rad/s'}" in ax.get_title()
     assert f"manipulability {kinematics.manipulability(arm, q[-1], part):.3g};" in ax.get_title()
     assert len([line for line in ax.lines if line.get_gid() == "axis"]) == 6
 
@@ -206,7 +206,7 @@ def test_a_flat_ellipsoid_of_a_planar_arm_and_at_most_eight_of_many() -> None:
     arm = robots.from_dh("planar", [0, 0], [0.5, 0.3], [0, 0])
     title = manipulability(arm, [0.3, 1.0]).get_title()
     s = np.linalg.svd(kinematics.jacobian(arm, [0.3, 1.0])[:3], compute_uv=False)
-    assert f"half axes {s[0]:.3g}, {s[1]:.3g}, 0 m/s" in title
+    assert f"half-axes {s[0]:.3g}, {s[1]:.3g}, 0 m/s" in title
     assert f"manipulability {s[0] * s[1]:.3g};" in title
     ax = manipulability(arm, np.linspace([0.3, 0.1], [0.3, 1.0], 40))
     assert sum(c.get_gid() == "ellipsoid" for c in ax.collections) == 8

@@ -227,7 +227,7 @@ def test_the_spectrum_shows_ripple_without_and_with_the_model(model: TorqueModel
     assert ax.get_xlabel() == "cycles per joint revolution"
     assert ax.get_ylabel() == "amplitude [N m]"
     assert ax.child_axes[0].get_xlabel() == "cycles per motor revolution"
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without", "with", "line of the model"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without", "with", "model line"]
 
 
 @pytest.fixture(scope="module")

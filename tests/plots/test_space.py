@@ -143,7 +143,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     for item, words in (
         (np.zeros((3, 20)), "Transpose it"),
         (np.zeros(3), r"got \(3,\)"),
-        (np.zeros((5, 4, 4)), "without a rotation at row 0"),
+        (np.zeros((5, 4, 4)), "without a valid rotation in row 0"),
         (np.zeros((5, 3, 3)), r"\(N, 4, 4\)"),
         ({"cam": 2 * np.eye(4)}, "poses in 'cam'"),
         ({"cam": np.eye(3)}, r"the pose of 'cam' of shape \(4, 4\), got \(3, 3\)"),

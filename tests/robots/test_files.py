@@ -217,7 +217,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     ('source = "measured"', "", "missing required field `source`"),
     ('name = "mine"', 'name = "mine"\nabb_axes = [1, 2, 3]', "Expected 2 different abb_axes"),
     ('name = "mine"', 'name = "mine"\ncoupling = [[1]]', "Expected 2 numbers in every row of coupling, got"),
-    ('name = "mine"', 'name = "mine"\ncoupling = [[1, 0], [1, 0]]', "coupling of robot .* of full rank"),
+    ('name = "mine"', 'name = "mine"\ncoupling = [[1, 0], [1, 0]]', "full-rank coupling for robot"),
     ('name = "mine"', 'name = "mine"\nfirst = {}', "Expected `first` only together with `next`"),
     ('name = "mine"', 'name = "mine"\nmount = { rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]] }',
      "pose in mount.*rotat"),

@@ -132,7 +132,7 @@ def after(t: float | None = None, dt: float | None = None) -> LowPass2:
 
 
 @pytest.mark.parametrize(("error", "words", "call"), [
-    (ShapeError, "Give t, as with the first sample, or dt", lambda: LowPass2(10.0).step(1.0)),
+    (ShapeError, "Pass t, as with the first sample, or dt", lambda: LowPass2(10.0).step(1.0)),
     (ShapeError, "Drop repeated samples", lambda: after(0.0).step(1.0, 0.0)),
     (ShapeError, "Drop repeated samples", lambda: after(0.0).step(1.0, -1.0)),
     (ShapeError, "in row 2", lambda: LowPass2(10.0).run(np.zeros(3), np.array([0.0, 1.0, 1.0]))),

@@ -189,10 +189,10 @@ def test_baseline_compares_values_that_are_no_times_on_any_machine(
 
 def test_baseline_names_what_became_slower(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
     text = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 2.0, 4.0)], whole=True)))
-    assert re.search(r"1 differ by more than a tenth with disjoint quartiles .*, 1 of them for the worse", text)
+    assert re.search(r"1 differ by more than 10 % with disjoint quartiles .*, 1 of them for the worse", text)
     assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in text
     better = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 0.5, 4.0)], whole=True)))
-    assert re.search(r"1 differ by more than a tenth with disjoint quartiles .*, 0 of them for the worse", better)
+    assert re.search(r"1 differ by more than 10 % with disjoint quartiles .*, 0 of them for the worse", better)
 
 
 def test_what_was_measured_once_must_change_by_half(harness: dict[str, ModuleType]) -> None:

@@ -5,8 +5,8 @@ namespace {
 
 constexpr double pi = 3.14159265358979323846;
 
-// R = Rz(beta) Rx(alpha) Rz(gamma). For alpha near 0 or pi, beta is arbitrary: alpha and gamma are
-// therefore read from Rz(-beta) R, which makes the product exact for any beta.
+// R = Rz(beta) Rx(alpha) Rz(gamma). For alpha near 0 or pi, beta is arbitrary. Alpha and gamma are
+// therefore computed from Rz(-beta) R, which makes the product exact for any beta.
 struct Angles {
   double beta, alpha, gamma;
 };
@@ -21,8 +21,7 @@ Angles zxz(const double *E) {
   return {beta, alpha, gamma};
 }
 
-// Sets rounding errors to zero: entries of a rotation and lengths in metres are not accurate to
-// 1e-15.
+// Sets rounding errors to zero: entries of a rotation and lengths [m] are not accurate to 1e-15.
 double without_rounding(double x) { return std::fabs(x) < 1e-15 ? 0.0 : x; }
 
 Chain::Twist twist(const Chain::Step &step) {

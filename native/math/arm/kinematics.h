@@ -5,7 +5,7 @@
 
 namespace armlab {
 
-// Sine and cosine of `count` angles, angle(i).
+// Sine and cosine of the `count` angles angle(i).
 template <class Real, class Angle>
 inline void sincos_of(int count, Angle angle, Real *sine, Real *cosine) {
   Real quadrant[max_joints], farthest(0.0);
@@ -20,7 +20,7 @@ inline void sincos_of(int count, Angle angle, Real *sine, Real *cosine) {
   for (int i = 0; i < count; ++i) replace_far(angle(i), sine[i], cosine[i]);
 }
 
-// Sine and cosine of the angle of every joint.
+// Sine and cosine of the rotation of every joint.
 template <class Real>
 inline Real joint_angle(const Chain::Step &step, const Real &q) {
   return step.slides ? Real(step.offset) : q + Real(step.offset);
@@ -32,7 +32,7 @@ inline void joint_sincos(const Chain &chain, const Real *q, Real *sine, Real *co
 #ifdef ARMLAB_LANES
 inline void joint_sincos(const Chain &chain, const double *q, double *sine, double *cosine) {
   constexpr int most = max_joints / Lanes::width;
-  Lanes angles[most], sines[most], cosines[most];  // joints side by side: the same numbers, sooner
+  Lanes angles[most], sines[most], cosines[most];  // vectorised over joints: same numbers, faster
   const int groups = (chain.n + Lanes::width - 1) / Lanes::width;
   double *angle = reinterpret_cast<double *>(angles);
   for (int i = 0; i < chain.n; ++i) angle[i] = joint_angle(chain.steps[i], q[i]);
@@ -43,8 +43,8 @@ inline void joint_sincos(const Chain &chain, const double *q, double *sine, doub
 }
 #endif
 
-// Walks from base to tool; visit(i, z, p) gets the axis and a point of joint i + 1 in base axes.
-// Returns T_base_tool. (Separate variables stay in registers; a pose would be in memory.)
+// Iterates from base to tool; visit(i, z, p) receives the axis and a point of joint i + 1 in base
+// axes. Returns T_base_tool. (Separate variables stay in registers; a pose would be in memory.)
 template <class Real, class Visit>
 inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
   Real sine[max_joints], cosine[max_joints];
@@ -84,18 +84,19 @@ inline void forward(const Chain &chain, const Real *q, Real *T_out) {
   walk(chain, q, [](int, const Vec3<Real> &, const Vec3<Real> &) {}).write(T_out);
 }
 
-// Zero, or NaN if a joint is NaN: marks results as missing that do not depend on it.
+// Zero, or NaN if a joint is NaN: marks results as missing even if they do not depend on that
+// joint.
 template <class Real>
 inline Vec3<Real> missing_in(const Pose<Real> &T) {
   return Real(0.0) * (T.x + T.p);
 }
 
-// J (6, n): rows [v; w], at the tool point, in base axes or in tool axes. Returns T_base_tool.
+// J (6, n): rows [v; w] at the tool point, in base axes or tool axes. Returns T_base_tool.
 template <class Real>
 inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J) {
   const int n = chain.n;
   const Pose<Real> T = walk(chain, q, [&](int i, const Vec3<Real> &z, const Vec3<Real> &p) {
-    p.write(J + i, n);  // until the tool point is known
+    p.write(J + i, n);  // replaced once the tool point is known
     z.write(J + 3 * n + i, n);
   });
   const Vec3<Real> missing = missing_in(T), tip = T.p + missing;
@@ -116,7 +117,7 @@ inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J
   return T;
 }
 
-// T_{i-1,i} = E_{i-1} Z_i(q_i), joints from 1: link frame i in link frame i - 1 (0: base).
+// T_{i-1,i} = E_{i-1} Z_i(q_i), i >= 1: link frame i in link frame i - 1 (0: base).
 template <class Real>
 inline Pose<Real> link_pose(const Chain &chain, int i, const Real &q) {
   Pose<Real> T(chain.frame(i));
@@ -163,7 +164,7 @@ template <class Real>
 inline Real dot(const Twist<Real> &a, const Twist<Real> &b) {
   return dot(a.v, b.v) + dot(a.w, b.w);
 }
-// V x S: the rate of a twist S that is fixed in a body moving with V. V x* F: the same of a wrench.
+// V x S: rate of change of a twist S fixed in a body with twist V. V x* F: the same for a wrench.
 template <class Real>
 inline Twist<Real> cross(const Twist<Real> &V, const Twist<Real> &S) {
   return {cross(V.w, S.v) + cross(V.v, S.w), cross(V.w, S.w)};
@@ -173,7 +174,7 @@ inline Twist<Real> wrench_cross(const Twist<Real> &V, const Twist<Real> &F) {
   return {cross(V.w, F.v), cross(V.w, F.w) + cross(V.v, F.v)};
 }
 
-// For T = T_a_b: a twist of frame a in frame b, a wrench of frame b in frame a.
+// For T = T_a_b: transforms a twist from frame a to b, and a wrench from frame b to a.
 template <class Real>
 inline Twist<Real> twist_in(const Pose<Real> &T, const Twist<Real> &V) {
   return {T.turn_back(V.v + cross(V.w, T.p)), T.turn_back(V.w)};
@@ -184,14 +185,14 @@ inline Twist<Real> wrench_from(const Pose<Real> &T, const Twist<Real> &F) {
   return {f, T.turn(F.w) + cross(T.p, f)};
 }
 
-// Of a joint along or about an axis z through p.
+// Unit twist of a joint with axis z through p.
 template <class Real>
 inline Twist<Real> joint_twist(bool slides, const Vec3<Real> &z, const Vec3<Real> &p) {
   if (slides) return {z, {Real(0.0), Real(0.0), Real(0.0)}};
   return {cross(p, z), z};
 }
 template <class Real>
-inline Twist<Real> unit_twist(bool slides) {  // in its link's frame
+inline Twist<Real> unit_twist(bool slides) {  // in the frame of its link
   const Vec3<Real> zero{Real(0.0), Real(0.0), Real(0.0)}, z{Real(0.0), Real(0.0), Real(1.0)};
   return slides ? Twist<Real>{z, zero} : Twist<Real>{zero, z};
 }
@@ -200,12 +201,12 @@ inline const Real &along_axis(const Twist<Real> &V, bool slides) {
   return slides ? V.v.z : V.w.z;
 }
 
-// Jd (6, n): the derivative of J (6, n) along the motion q, qd, in base axes or in tool axes.
+// Jd (6, n): time derivative of J (6, n) for the motion q, qd, in base axes or tool axes.
 //
-// With S_i the twist of joint i and V_i that of the link before it, about the base's origin,
-// dS_i/dt = V_i x S_i. At the tool point p the column is [S.v + S.w x p; S.w]. In tool axes,
-// d/dt (R^T u) = R^T (ud - w x u) for both halves u of a column, w the angular velocity of the
-// tool.
+// Let S_i be the twist of joint i and V_i the twist of the link before it, both about the base
+// origin; then dS_i/dt = V_i x S_i. At the tool point p, the column is [S.v + S.w x p; S.w]. In
+// tool axes, d/dt (R^T u) = R^T (ud - w x u) for both halves u of a column, with w the angular
+// velocity of the tool.
 template <class Real>
 inline void jacobian_derivative(
     const Chain &chain, const Real *q, const Real *qd, bool tool, Real *Jd) {

@@ -1,11 +1,11 @@
-// A = L D L^T of small symmetric matrices over Real (double or Lanes), and solutions by it.
+// Factorisation A = L D L^T of small symmetric matrices over Real (double or Lanes), and solutions.
 #pragma once
 
 #include "math/arm/chain.h"
 
 namespace armlab {
 
-// In place: L below the diagonal of A (n, n), 1 / D on it. False when a pivot is not above `least`.
+// Factorises in place: L below the diagonal of A (n, n), 1 / D on it. False if a pivot <= `least`.
 template <class Real>
 inline bool factor(Real *A, int n, Real least = Real(0.0)) {
   bool definite = true;

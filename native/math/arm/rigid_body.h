@@ -1,9 +1,9 @@
 // Rigid-body dynamics of a chain, for Real = double (one sample) or Lanes (several).
 //
 // Parameters per link, in the link frame, about its origin: m, m cx, m cy, m cz, Ixx, Ixy, Iyy,
-// Ixz, Iyz, Izz. All quantities are in link frames; w, wd are the angular velocity and acceleration
-// of a link, a the acceleration of its origin, where the base accelerates by -gravity (recursive
-// Newton-Euler: Siciliano et al., Robotics, 2009, 7.5).
+// Ixz, Iyz, Izz. All quantities are in link frames. w and wd are the angular velocity and
+// acceleration of a link, and a is the acceleration of its origin; the base accelerates by -gravity
+// (recursive Newton-Euler: Siciliano et al., Robotics, 2009, 7.5).
 #pragma once
 
 #include <vector>
@@ -23,7 +23,7 @@ inline Vec3<Real> to_vec3(const double *v) {
   return {Real(v[0]), Real(v[1]), Real(v[2])};
 }
 
-// The motion of link i from that of link i - 1; T is the link's pose in the one before.
+// The motion of link i from that of link i - 1; T is the pose of link i in link i - 1.
 template <class Real>
 inline LinkMotion<Real> next_motion(const LinkMotion<Real> &before, const Pose<Real> &T,
     bool slides, const Real &qd, const Real &qdd) {
@@ -47,14 +47,14 @@ inline LinkMotion<Real> base_motion(const double *gravity) {
   return {zero, zero, zero - to_vec3<Real>(gravity)};
 }
 
-// A chain with masses: gravity (3) in base axes, link parameters (n, 10), and the inertia (n, n) of
-// the motors as the joints feel it, or null.
+// A chain with masses: gravity (3) in base axes, link parameters (n, 10), and the motor inertia
+// (n, n) reflected to the joints, or null.
 struct Bodies {
   const Chain &chain;
   const double *gravity, *links, *motors = nullptr;
 };
 
-// The same, owning its memory.
+// The same data, owning its memory.
 struct RigidBody {
   Chain chain;
   std::array<double, 3> gravity;
@@ -74,8 +74,8 @@ inline Vec3<Real> inertia_times(const Number *I, const Vec3<Real> &u) {
       Real(I[3]) * u.x + Real(I[4]) * u.y + Real(I[5]) * u.z};
 }
 
-// tau (n) of the motion q, qd, qdd: recursive Newton-Euler. wrench (6): by the environment on the
-// tool, at the tool point in base axes, or null.
+// tau (n) for the motion q, qd, qdd by recursive Newton-Euler. wrench (6): exerted by the
+// environment on the tool, at the tool point in base axes, or null.
 template <class Real>
 inline void rnea(const Bodies &arm, const Real *q, const Real *qd, const Real *qdd, Real *tau,
     const Real *wrench = nullptr) {
@@ -107,13 +107,13 @@ inline void rnea(const Bodies &arm, const Real *q, const Real *qd, const Real *q
   }
 }
 
-// One row block of the rigid regressor: (v, w) . (wrench of each unit parameter).
+// One row block of the rigid-body regressor: (v, w) . (wrench of each unit parameter).
 template <class Real>
 inline void wrench_row(const LinkMotion<Real> &link, const Twist<Real> &S, Real *row) {
   const Vec3<Real> &v = S.v, &w = S.w;
-  // Powers of force and moment as forms in h = m c: v . (wd x h + w0 x (w0 x h)) + w . (h x a).
+  // Power of force and moment, linear in h = m c: v . (wd x h + w0 x (w0 x h)) + w . (h x a).
   const Vec3<Real> h = cross(v, link.wd) + cross(cross(v, link.w), link.w) + cross(link.a, w);
-  // And in I: w . (I wd) + (w x w0) . (I w0).
+  // Part linear in I: w . (I wd) + (w x w0) . (I w0).
   const Vec3<Real> u = cross(w, link.w);
   const Vec3<Real> &b = link.wd, &c = link.w;
   row[0] = dot(v, link.a);
@@ -133,7 +133,7 @@ template <class Real>
 inline void rigid_regressor(const Chain &chain, const Real *q, const Real *qd, const Real *qdd,
     const double *gravity, Real *Y) {
   const int n = chain.n;
-  Twist<Real> axes[max_joints];  // of the joints up to link k, in its frame
+  Twist<Real> axes[max_joints];  // unit twists of the joints up to link k, in frame k
   LinkMotion<Real> link = base_motion<Real>(gravity);
   for (int k = 0; k < n; ++k) {
     const Pose<Real> T = link_pose(chain, k, q[k]);
@@ -149,7 +149,7 @@ inline void rigid_regressor(const Chain &chain, const Real *q, const Real *qd, c
   }
 }
 
-// Mass m, first moment h = m c and inertia I about the frame's origin of a body, in that frame.
+// Mass m, first moment h = m c and inertia I of a body, in a frame and about its origin.
 template <class Real>
 struct Body {
   Real m;
@@ -166,7 +166,7 @@ struct Body {
     return {m * V.v + cross(V.w, h), inertia(V.w) + cross(h, V.v)};
   }
 
-  void add(const Body &b) {  // of the same frame
+  void add(const Body &b) {  // b is in the same frame
     m = m + b.m;
     h = h + b.h;
     for (int k = 0; k < 6; ++k) I[k] = I[k] + b.I[k];
@@ -177,7 +177,7 @@ struct Body {
   void add(const Pose<Real> &T, const Body &b) {
     const Vec3<Real> Rh = T.turn(b.h), &p = T.p;
     const Vec3<Real> rows[3] = {
-        {T.x.x, T.y.x, T.z.x}, {T.x.y, T.y.y, T.z.y}, {T.x.z, T.y.z, T.z.z}};  // of R
+        {T.x.x, T.y.x, T.z.x}, {T.x.y, T.y.y, T.z.y}, {T.x.z, T.y.z, T.z.z}};  // columns of R
     const Vec3<Real> turned[3] = {b.inertia(rows[0]), b.inertia(rows[1]), b.inertia(rows[2])};
     const Real trace = Real(2.0) * dot(p, Rh) + b.m * dot(p, p);
     const Vec3<Real> q = Rh + b.m * p;
@@ -205,7 +205,7 @@ inline void mass_matrix(const Bodies &arm, const Real *q, Real *M) {
     Body<Real> body(arm.links + 10 * k);
     if (k + 1 < n) body.add(T[k + 1], rest);
     rest = body;
-    // The wrench that gives joint k a unit acceleration, carried down to every joint before it.
+    // The wrench for a unit acceleration of joint k, transformed to every joint before it.
     const Vec3<Real> &h = rest.h;
     Twist<Real> F{{-h.y, h.x, zero}, {rest.I[3], rest.I[4], rest.I[5]}};
     if (chain.steps[k].slides) F = {{zero, zero, rest.m}, {h.y, -h.x, zero}};
@@ -214,12 +214,12 @@ inline void mass_matrix(const Bodies &arm, const Real *q, Real *M) {
       if (i > 0) F = wrench_from(T[i], F);
     }
   }
-  M[0] = M[0] + (q[0] - q[0]);  // nothing depends on the first joint, but a NaN there must show
+  M[0] = M[0] + (q[0] - q[0]);  // independent of the first joint, but a NaN there must show
   for (int k = 0; arm.motors && k < n * n; ++k) M[k] = M[k] + Real(arm.motors[k]);
 }
 
-// Of the links: momentum p = M qd (n) and beta = C^T qd = d(kinetic energy)/dq (n), so that rnea
-// without gravity is dp/dt - beta. With l_i the momentum of links i ... n and V_i the twist of link
+// Momentum p = M qd (n) of the links, and beta = C^T qd = d(kinetic energy)/dq (n). Without
+// gravity, rnea is dp/dt - beta. With l_i the momentum of links i ... n and V_i the twist of link
 // i, in frame i:
 //   p_i = S_i . l_i,   beta_i = l_i . (V_i x S_i)
 template <class Real>
@@ -243,7 +243,7 @@ inline void momentum(const Bodies &arm, const Real *q, const Real *qd, Real *p, 
   }
 }
 
-// Kinetic and potential energy, the latter zero for masses at the base's origin.
+// Kinetic and potential energy; the potential energy is zero for masses at the base origin.
 template <class Real>
 inline void energy(
     const Bodies &arm, const Real *q, const Real *qd, Real *kinetic, Real *potential) {
@@ -263,7 +263,7 @@ inline void energy(
   }
 }
 
-// tau (n) at rest: the moment of the links after a joint about its axis, or their weight along it.
+// tau (n) at rest: moment of the links after a joint about its axis, or their weight along it.
 template <class Real>
 inline void gravity_torque(const Bodies &arm, const Real *q, Real *tau) {
   const Vec3<Real> g = to_vec3<Real>(arm.gravity);
@@ -282,17 +282,18 @@ inline void gravity_torque(const Bodies &arm, const Real *q, Real *tau) {
   tau[0] = tau[0] + (q[0] - q[0]);
 }
 
-// Derivatives (n, n) of rnea: by_q, which may be null, and by_qd = 2 C, C of Christoffel symbols.
+// Derivatives (n, n) of rnea: by_q, which may be null, and by_qd = 2 C, with C from Christoffel
+// symbols.
 //
-// Everything is in base axes about the first joint's origin (Singh, Russell and Wensing, Efficient
-// analytical derivatives of rigid-body dynamics using spatial vector algebra, 2022). With V_j, A_j
-// the motion of the link before joint j, s_j = V_j x S_j, a_j = A_j x S_j + V_j x s_j, and of the
-// links i ... n the inertia I_i, the wrench F_i and 2 B_i = V x* I - I V x + (x -> x x* I V):
-//   j <= i:  dtau_i/dq_j = S_i . (2 B_i s_j + I_i a_j),   dtau_i/dqd_j = 2 S_i . (B_i S_j + I_i
-//   s_j) j < i:   dtau_j/dq_i = S_j . (2 B_i s_i + I_i a_i + S_i x* F_i)
-// Of mass elements at x that move with xd, B [v; w] = [w x sum xd; (tr K - K) w], K = sum xd x^T.
-// The wrench f, m at the tool, J_i = [v; w] of joint i, adds -w_j . (v_i x f + w_i x m) to the
-// first and -w_j . (v_i x f) to the last.
+// All quantities are in base axes about the first joint's origin (Singh, Russell and Wensing,
+// Efficient analytical derivatives of rigid-body dynamics using spatial vector algebra, 2022).
+// V_j, A_j: motion of the link before joint j; s_j = V_j x S_j, a_j = A_j x S_j + V_j x s_j.
+// I_i, F_i: inertia and wrench of the links i ... n; 2 B_i = V x* I - I V x + (x -> x x* I V):
+//   j <= i:  dtau_i/dq_j = S_i . (2 B_i s_j + I_i a_j),  dtau_i/dqd_j = 2 S_i . (B_i S_j + I_i s_j)
+//   j < i:   dtau_j/dq_i = S_j . (2 B_i s_i + I_i a_i + S_i x* F_i)
+// For mass elements at x with velocity xd, B [v; w] = [w x sum xd; (tr K - K) w], K = sum xd x^T.
+// The wrench f, m at the tool, with J_i = [v; w] of joint i, adds -w_j . (v_i x f + w_i x m) to the
+// first derivative and -w_j . (v_i x f) to the last.
 template <class Real>
 inline void rnea_derivatives(const Bodies &arm, const Real *q, const Real *qd, const Real *qdd,
     const Real *wrench, Real *by_q, Real *by_qd) {
@@ -313,7 +314,7 @@ inline void rnea_derivatives(const Bodies &arm, const Real *q, const Real *qd, c
     A = A + qdd[i] * S[i] + qd[i] * s[i];
     body[i] = Body<Real>{};
     body[i].add(T, Body<Real>(arm.links + 10 * i));
-    body[i].m = body[i].m + (q[i] - q[i]);  // a NaN must show
+    body[i].m = body[i].m + (q[i] - q[i]);  // propagate a NaN
     const Twist<Real> l = body[i].momentum(V);
     F[i] = body[i].momentum(A) + wrench_cross(V, l);
     const Real *I = body[i].I, half = Real(0.5) * (I[0] + I[2] + I[5]);  // sum x x^T = half - I
@@ -350,8 +351,8 @@ inline void rnea_derivatives(const Bodies &arm, const Real *q, const Real *qd, c
   }
 }
 
-// qdd (n) of torques tau and, where by_q is not null, its derivatives (n, n): -M^-1 drnea/dq,
-// -M^-1 drnea/dqd, M^-1. False where M is not positive definite.
+// qdd (n) for torques tau and, if by_q is not null, its derivatives (n, n): -M^-1 drnea/dq,
+// -M^-1 drnea/dqd, M^-1. False if M is not positive definite.
 template <class Real>
 inline bool forward_dynamics(const Bodies &arm, const Real *q, const Real *qd, const Real *tau,
     const Real *wrench, Real *qdd, Real *by_q = nullptr, Real *by_qd = nullptr,

@@ -1,5 +1,5 @@
-// Variance of the modelled torque due to the covariance of the model's parameters, w^T C w, beyond
-// its mean on the identified motion, which the error on held-out rows of that motion contains.
+// Variance w^T C w of the modelled torque due to the parameter covariance C, in excess of its mean
+// on the identified motion, which the error on held-out rows of that motion already contains.
 #pragma once
 
 #include "math/arm/rigid_body.h"
@@ -7,10 +7,10 @@
 
 namespace armlab {
 
-constexpr double settling = 60.0;  // 1/s, of the acceleration in the row w
+constexpr double settling = 60.0;  // 1/s, rate of the acceleration filter in row w
 
-// The columns of joint i are those of the regressor [links (10 n), rotors (n)], then its own
-// friction: viscous, Coulomb of either direction, offset, Stribeck, root, load.
+// Columns of joint i: those of the regressor [links (10 n), rotors (n)], then its own friction
+// parameters: viscous, Coulomb of either direction, offset, Stribeck, root, load.
 class ParameterDoubt {
  public:
   enum Term { viscous, coulomb_pos, coulomb_neg, offset, stribeck, root, load, terms };
@@ -20,10 +20,9 @@ class ParameterDoubt {
     std::vector<double> cov;  // C, row by row up to the diagonal
     double mean;
   };
-  std::vector<Joint> joints;  // empty: the parameters are exact
+  std::vector<Joint> joints;  // empty for exact parameters
 
-  // Variance (n) of the torque of joints with these states; x (n) is what they transmit to the
-  // links.
+  // Torque variance (n) of joints with these states; x (n) is the torque transmitted to the links.
   template <class Joints>
   void variance(const RigidBody &arm, const Drive &drive, const double *q, const double *qd,
       const Joints &states, const double *x, double *out) const {
@@ -51,7 +50,7 @@ class ParameterDoubt {
   }
 
  private:
-  // In four partial sums, which a processor adds at once.
+  // Four partial sums, which a processor adds in parallel.
   static double dot(const double *a, const double *b, int size) {
     double s0 = 0.0, s1 = 0.0, s2 = 0.0, s3 = 0.0;
     int k = 0;

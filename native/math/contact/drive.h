@@ -1,6 +1,6 @@
-// Torque of the drives at one instant: friction with its presliding and thermal state, friction
-// over position, and torque ripple. The only implementation in the compiled core;
-// tests/oracles/drive.py states the mathematics.
+// Torque of the drives at one instant: friction with its presliding and thermal states, friction
+// over position, and torque ripple. No other code in the compiled core implements it; the
+// specification is tests/oracles/drive.py.
 #pragma once
 
 #include <vector>
@@ -18,16 +18,16 @@ struct JointRipple {
   double cycles, cosine, sine;
 };
 
-// Warm-up by friction: coulomb (1 + of_coulomb x), viscous (1 + of_viscous x), x tends to
-// power / reference with time constant `time`; time 0: constant.
+// Warm-up by friction: coulomb (1 + of_coulomb x), viscous (1 + of_viscous x); x approaches
+// power / reference with time constant `time`. time 0: constant friction.
 struct JointWarmUp {
   double of_coulomb, of_viscous, time, reference, start;
 };
 
 constexpr int max_centres = 64;
 
-// Gaussians exp(-((x - c) / w)^2) over their sum; the sum never vanishes because x is clamped to
-// the range of the centres.
+// Normalised Gaussians exp(-((x - c) / w)^2). Their sum never vanishes, because x is clamped to the
+// range of the centres.
 inline void basis_weights(
     double x, int count, const double *centres, const double *widths, double *weights) {
   x = std::min(std::max(x, centres[0]), centres[count - 1]);
@@ -48,7 +48,7 @@ inline double slide(double z, double dy, double delta) {
   return sign + (z - sign) * std::exp(-std::fabs(dy) / delta);
 }
 
-// y follows q with a play of +-resolution; returns dy and moves y.
+// y follows q with a backlash of +-resolution; returns dy and updates y.
 inline double follow(double &y, double q, double resolution) {
   const double moved = std::min(std::max(y, q - resolution), q + resolution);
   const double dy = moved - y;
@@ -61,11 +61,11 @@ struct DriveState {
   double play = 0.0, z = 0.0, warmth = 0.0;
 };
 
-// Torque ripple whose amplitudes depend on speed; (lines, sides, speeds, 2): cosine and sine.
+// Torque ripple with speed-dependent amplitudes (lines, sides, speeds, 2): cosine and sine.
 struct RippleLines {
-  int speeds = 0, sides = 1;                // two sides: one for each direction, over |qd|
-  std::vector<double> cycles;               // of each line, joint by joint
-  std::array<int, max_joints + 1> first{};  // line of each joint
+  int speeds = 0, sides = 1;                // two sides: one per direction, over |qd|
+  std::vector<double> cycles;               // per line, in the order of the joints
+  std::array<int, max_joints + 1> first{};  // first line of each joint
   std::vector<double> centres, widths;      // (n, speeds)
   std::vector<double> coefficients;
 };
@@ -85,20 +85,20 @@ class Drive {
   RippleLines lines;
   FrictionMap map;
 
-  // The state of joint i at the first position of a record.
+  // State of joint i at the first position of a record.
   DriveState start(int i, double q) const { return {q, 0.0, warm_up[i].start}; }
 
-  // Its state after a gap of unknown motion: initial, except for the thermal state.
+  // State after a gap with unknown motion: initial, except for the thermal state.
   static DriveState restart(double q, const DriveState &before) { return {q, 0.0, before.warmth}; }
 
-  // Moves the state of joint i to position q; returns the displacement resolved by the encoder.
+  // Moves joint i to position q; returns the displacement resolved by the encoder.
   double move(int i, double q, DriveState &state) const {
     const double dy = follow(state.play, q, friction[i].resolution);
     state.z = slide(state.z, dy, friction[i].delta);
     return dy;
   }
 
-  // Torque of joint i; the dry part (Coulomb, Stribeck, root) counts by `dry_share`.
+  // Torque of joint i; `dry_share` scales the dry part (Coulomb, Stribeck, root).
   double torque(int i, double q, double qd, const DriveState &state, double dry_share) const {
     const JointRipple &r = ripple[i];
     const double s = sign(i, qd, state);
@@ -109,8 +109,8 @@ class Drive {
     return tau;
   }
 
-  // Load-dependent friction of joint i, with x the torque transmitted to the links: load |x| s.
-  // Given is either x, or y = x + load |x| s, the remainder of the motor's torque.
+  // Load-dependent friction of joint i: load |x| s, with x the torque transmitted to the links. The
+  // argument is either x, or y = x + load |x| s, the remainder of the motor torque.
   double of_load(int i, double x, double qd, const DriveState &state) const {
     const double load = friction[i].load;
     return load == 0.0 ? 0.0 : load * sign(i, qd, state) * std::fabs(x);
@@ -121,7 +121,7 @@ class Drive {
     return c * std::fabs(y) / (1.0 + (y < 0.0 ? -c : c));
   }
 
-  // Heats joint i for a time dt by its friction power.
+  // Heats joint i by its friction power for a time dt.
   void heat(int i, double qd, double dt, DriveState &state) const {
     const JointWarmUp &w = warm_up[i];
     if (!(w.time > 0.0)) return;
@@ -130,8 +130,8 @@ class Drive {
     state.warmth = power + (state.warmth - power) * std::exp(-dt / w.time);
   }
 
-  // Friction of joint i per unit of each parameter: viscous, Coulomb of either direction, offset,
-  // Stribeck, root, load.
+  // Derivatives of the friction of joint i by its parameters: viscous, Coulomb of either direction,
+  // offset, Stribeck, root, load.
   void columns(int i, double qd, double x, const DriveState &state, double *out) const {
     const double s = sign(i, qd, state), slow = qd / friction[i].stribeck_speed;
     const double made[] = {qd, std::max(s, 0.0), std::min(s, 0.0), 1.0,
@@ -139,7 +139,7 @@ class Drive {
     std::copy(std::begin(made), std::end(made), out);
   }
 
-  // Largest friction at rest under a load x.
+  // Largest friction at rest with load x.
   double at_rest(int i, double x) const {
     return 0.5 * (friction[i].coulomb_pos + friction[i].coulomb_neg) +
            std::max(friction[i].stribeck, 0.0) + friction[i].load * std::fabs(x);

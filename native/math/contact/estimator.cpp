@@ -8,10 +8,10 @@ namespace armlab {
 namespace {
 
 constexpr double weak_below = 0.5;
-constexpr double spread_sigmas = 3.0, box_sigmas = 10.0;  // of the interval
+constexpr double spread_sigmas = 3.0, box_sigmas = 10.0;  // for intervals
 constexpr double pi = 3.14159265358979323846;
 
-// Second-order Butterworth low-pass in state-variable form; a, g from corner frequency and dt.
+// Second-order Butterworth low-pass in state-variable form; a and g follow from cut-off and dt.
 double lowpass(double *state, double x, double g, double a) {
   const double v1 = a * (state[0] + g * (x - state[1]));
   const double v2 = state[1] + g * v1;
@@ -81,7 +81,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   }
   rnea(p_.bodies(), q, qd, qdd, rigid);
   for (int i = 0; i < n; ++i) {
-    // near rest it is anything within the bound
+    // near rest, dry friction takes any value within the bound
     const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;
     const DriveState &state = next[i].drive.state;
     raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], state, dry_share) -
@@ -101,7 +101,7 @@ void WrenchEstimator::step(
   double raw[max_joints], load[max_joints];
   const bool apart = first_ || dt > gap_steps * nominal_, band = has_band();
   if (!advance(q, qd, tau, dt, apart, raw, load)) return e.make_invalid(n);
-  const bool begins = apart || fresh_;  // in steady state, without a transient from earlier samples
+  const bool begins = apart || fresh_;  // start in steady state, without a transient
   if (first_) nominal_ = dt;
   fresh_ = apart && !first_;
   first_ = false;
@@ -118,15 +118,15 @@ void WrenchEstimator::step(
       joint.low[0][0] = 0.0;
       joint.low[0][1] = raw[i];
     }
-    if (apart) {  // the doubt stays for as long as one sample's noise is in the filter
+    if (apart) {  // the uncertainty decays like the noise of one sample in the filter
       joint.low[1][0] = 0.0;
       joint.low[1][1] = unsure;
     }
     e.error[i] = begins ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
     const double filtered =
         std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
-    if (band) {  // the bound holds what velocity does to the error near rest; without an
-                 // acceleration nothing does
+    if (band) {  // the bound includes the velocity-dependent error near rest, and the error due to
+                 // a missing acceleration
       const double rest = p_.bound[i].torque + p_.drive.friction[i].load * std::fabs(load[i]);
       e.variance[i] = c.at_speed + c.of_contact(e.error[i]) + doubt[i];
       e.bound[i] = apart ? largest_torque : rest * filtered + p_.bound[i].floor;
@@ -177,7 +177,7 @@ void WrenchEstimator::intervals(
     return;
   }
   for (int m = 0; m < 6; ++m)
-    for (int end = 0; end < 2; ++end) {  // the moments of the box that holds the force
+    for (int end = 0; end < 2; ++end) {  // moments over the box that contains the force
       double sum = 0.0;
       for (int a = 0; a < 3; ++a) {
         const double share = unknowns.S[3 * m + a];

@@ -1,4 +1,4 @@
-// Contact wrench from joint motion and torque; tests/oracles/estimator.py states the mathematics.
+// Contact wrench from joint motion and torque. Specification: tests/oracles/estimator.py.
 #pragma once
 
 #include "math/arm/rigid_body.h"
@@ -7,10 +7,10 @@
 
 namespace armlab {
 
-// Unknowns of a contact: the wrench F, or a force f at a known point, F = S f, S = [1; hat(r)].
+// Unknowns of a contact: the wrench F, or a force f at a known point with F = S f, S = [1; hat(r)].
 struct Unknowns {
   int k = 6;
-  double S[18];  // (6, 3), of a known point
+  double S[18];  // (6, 3), for a known point
 
   // `point` (3) in tool axes, or null. J (6, n) becomes A = S^T J in its first k rows.
   Unknowns(const double *point, const Pose<double> &T_base_tool, int n, double *J) {
@@ -53,13 +53,13 @@ struct Unknowns {
   }
 };
 
-constexpr double rest_time = 0.5;  // s, in which friction at rest becomes unknown
-constexpr double gap_steps = 5.0;  // first steps; a longer step is a gap, of which nothing is known
+constexpr double rest_time = 0.5;  // s, time constant with which friction at rest becomes unknown
+constexpr double gap_steps = 5.0;  // in units of the first step; a longer step is a gap
 constexpr double largest_torque = 1e100;  // N m; a larger error would never decay in a filter
 
 struct JointCovariance {
   double at_rest, at_speed, shape, kind;  // kind: 0 exponential, 1 step, 2 constant
-  double doubt;  // deviation of the torque that a contact makes, as a share of it
+  double doubt;                           // relative standard deviation of a contact torque
 
   double of_contact(double torque) const { return doubt * torque * (doubt * torque); }
 
@@ -70,27 +70,27 @@ struct JointCovariance {
     return (at_rest - at_speed) * weight + at_speed;
   }
 };
-// Low-speed friction is anything within +-(torque exp(-(qd/speed)^2) + floor).
+// At low speed, friction is only bounded: +-(torque exp(-(qd/speed)^2) + floor).
 struct JointBound {
   double torque, speed, floor;
 };
 
-// Model of an arm, common to all estimators.
+// Arm model shared by all estimators.
 struct ArmModel : RigidBody {
   explicit ArmModel(const Chain &arm) : RigidBody{arm, {}, {}, {}} {}
   std::array<double, max_joints> rotor;
   Drive drive;
-  std::array<double, max_joints> gains;  // torque as it is read over true torque
-  double gain_variance;                  // of their common factor
+  std::array<double, max_joints> gains;  // measured over true torque
+  double gain_variance;                  // variance of their common factor
   std::array<JointCovariance, max_joints> covariance;
   ParameterDoubt doubt;
   std::array<double, 6> prior;
-  bool at_point;                // the contact is at a known point: a force of three unknowns
-  std::array<double, 3> point;  // it, in tool axes
+  bool at_point;                // known contact point: three unknown force components
+  std::array<double, 3> point;  // contact point in tool axes
 };
 
-// One joint's drive, and the variance of its presliding state, 1 being the largest of a variable in
-// [-1, 1]. Rest increases it, displacement reduces it.
+// Drive of one joint, and the variance of its presliding state in [-1, 1] relative to the largest
+// possible variance. Rest increases the variance, displacement reduces it.
 struct JointDrive {
   DriveState state;
   double unsure = 1.0;
@@ -105,14 +105,14 @@ struct JointDrive {
   }
 };
 
-// One estimate. Bits of flags: 1 invalid, 2 weak, 4 stuck, 8 infeasible, 16 singular, 32 tared.
+// One estimate. Flag bits: 1 invalid, 2 weak, 4 stuck, 8 infeasible, 16 singular, 32 tared.
 struct WrenchEstimate {
   double F[6], P[36], observability[6], interval[12];
   double error[max_joints], variance[max_joints], bound[max_joints];
   bool active[max_joints];
   int flags;
 
-  // Writes the wrench of the unknowns x (k) with covariance P (k, k), and its observability.
+  // Converts the unknowns x (k) with covariance P (k, k) to the wrench and its observability.
   void tell(
       const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance);
   void make_invalid(int n);
@@ -137,18 +137,18 @@ class WrenchEstimator {
   bool has_interval() const { return p_.method == WrenchMethod::interval; }
   void reset();
 
-  // One sample. All NaN and flag 1 for a non-finite sample, which changes no state.
+  // Processes one sample. A non-finite sample gives NaN and flag 1, and changes no state.
   void step(
       const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
 
  private:
   struct Joint {
     JointDrive drive;
-    double qd, low[2][2];  // low-pass states of torque error and of uncertainty (or of the bound)
+    double qd, low[2][2];  // low-pass states: torque error; uncertainty or bound
   };
 
-  // Advances play, presliding state and velocity by one sample and returns the torque error and
-  // the load; returns false without any change if the sample or its torque error is not finite.
+  // Advances backlash, presliding state and velocity by one sample and returns the torque error and
+  // the load. Returns false without any change if the sample or its torque error is not finite.
   // After a gap (`apart`), only the thermal state is kept.
   bool advance(const double *q, const double *qd, const double *tau, double dt, bool apart,
       double *raw, double *load);
@@ -159,7 +159,7 @@ class WrenchEstimator {
   Parameters p_;
   std::array<Joint, max_joints> joints_;
   double nominal_;      // step of the first sample
-  bool first_, fresh_;  // fresh: the last sample came after a gap, without an acceleration
+  bool first_, fresh_;  // fresh: no acceleration yet after a gap
 };
 
 }  // namespace armlab

@@ -4,10 +4,10 @@
 namespace armlab {
 namespace {
 
-constexpr double creep = 1e-3;    // 1/s, of its variance, by which it wanders at rest
-constexpr double longest = 20.0;  // s, memory of friction at rest for a joint that no contact turns
+constexpr double creep = 1e-3;    // 1/s, relative random-walk rate of the friction variance at rest
+constexpr double longest = 20.0;  // s, memory of friction at rest in a joint not moved by contact
 constexpr double at_rest = 0.5;   // variance of the presliding state above which a joint rests
-constexpr double still = 1.0;  // presliding distances that a joint may move before a tare is void
+constexpr double still = 1.0;     // presliding distances of motion after which a tare is void
 
 }  // namespace
 
@@ -56,7 +56,7 @@ bool MomentumEstimator::prepare(
     p[i] += p_.rotor[i] * qd[i];
     double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] -
                p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
-    s.load[i] = u - beta[i] + gravity[i];  // with the rotor, of unknown acceleration
+    s.load[i] = u - beta[i] + gravity[i];  // includes the rotor, whose acceleration is unknown
     const double rubs = p_.drive.of_passing(i, s.load[i], qd[i], joint.drive.state, 1.0);
     u -= rubs;
     s.load[i] -= rubs;
@@ -95,8 +95,8 @@ void MomentumEstimator::step(
   if (tared_) e.flags |= 32;
 }
 
-// r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): J^T F, low-pass filtered, stable for any
-// step. Initially it contains only a share of the wrench.
+// r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): low-pass filtered J^T F, stable for any
+// step. At first, it contains only a share of the wrench.
 void MomentumEstimator::observe(
     const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e) {
   const int n = this->n();
@@ -127,7 +127,7 @@ void MomentumEstimator::observe(
   e.tell(unknowns, p_, x.x, x.P);
 }
 
-// Inputs of the momentum and their noise: the wrench in units of its prior, friction errors.
+// Inputs of the momentum and their noise: wrench in units of its prior, and friction errors.
 void MomentumEstimator::hidden(const double *q, const double *qd, const Sample &s, const double *A,
     double dt, WrenchEstimate &e) {
   const int n = this->n(), k = unknowns(), m = inputs();
@@ -142,21 +142,21 @@ void MomentumEstimator::hidden(const double *q, const double *qd, const Sample &
   p_.doubt.variance(p_, p_.drive, q, qd, s.joints, s.load, doubt);
   for (int i = 0; i < n; ++i) {
     const double rest = p_.drive.at_rest(i, s.load[i]), friction = rest * rest;
-    double speed = 0.0, torque = 0.0;  // of the torque that the wrench's walk makes; of the wrench
+    double speed = 0.0, torque = 0.0;  // torque variance rate of the walk; contact torque
     for (int j = 0; j < k; ++j) {
       speed += G_[m * i + j] * G_[m * i + j] * q_[j];
       if (!first_) torque += G_[m * i + j] * x_[n + j];
     }
     double lasting = p_.covariance[i].of_contact(torque) + doubt[i];
-    if (p_.biased) {  // forgotten with displacement, as the presliding state is
+    if (p_.biased) {  // displacement erases it, as it erases the presliding state
       G_[m * i + k + i] = -1.0;
       a_[k + i] = s.moved[i] / dt;
       q_[k + i] = friction * (s.rise[i] / dt + creep);
     } else {
       lasting += friction * s.joints[i].drive.unsure;
     }
-    // A constant error must not be averaged away: as noise it is scaled to keep the uncertainty of
-    // the wrench, and no more.
+    // A constant error must not be averaged away. The noise intensity that represents it is scaled
+    // only enough to preserve the uncertainty of the wrench.
     const double strength = 2.0 * e.variance[i] * p_.memory[i] + lasting * longest;
     e.variance[i] += lasting;
     Qp_[i] = std::min(strength * speed, e.variance[i] * e.variance[i]) / speed;
@@ -164,8 +164,8 @@ void MomentumEstimator::hidden(const double *q, const double *qd, const Sample &
   }
 }
 
-// Momentum gets its measurement covariance, friction its prior. The wrench is that before the gap
-// plus its random walk since then, or its prior.
+// Momentum starts with its measurement covariance, and friction with its prior. The wrench is the
+// one before the gap plus its random walk since then, or else its prior.
 void MomentumEstimator::restart(const Sample &s, double dt) {
   const int n = this->n(), k = unknowns(), m = inputs(), N = n + m;
   for (int j = 0; j < m; ++j) {
@@ -237,7 +237,7 @@ void MomentumEstimator::report(const double *q, const Unknowns &middle, WrenchEs
   e.tell(Unknowns(point(), jacobian(p_.chain, q, false, J), n, J), p_, x, P);
 }
 
-// The posterior of all other states, given a zero wrench.
+// Conditions all other states on a zero wrench.
 bool MomentumEstimator::tare() {
   const int n = this->n(), k = unknowns(), N = n + inputs();
   const bool rests = std::all_of(joints_.begin(), joints_.begin() + n,
@@ -274,8 +274,8 @@ bool MomentumEstimator::tare() {
 
 namespace {
 
-// (1 - 2 phi / h + zz / h) / x^2 up to x = 1, where this form loses digits: the sum of (2^(k+2) -
-// 2) (-x)^k / (k+3)!.
+// (1 - 2 phi / h + zz / h) / x^2 for x <= 1, where this form loses digits: the sum of
+// (2^(k+2) - 2) (-x)^k / (k+3)!.
 double series(double x) {
   double sum = 0.0, term = 1.0 / 6.0, power = 4.0;
   for (int k = 0; k < 20 && std::fabs(term) > 1e-24; ++k, power *= 2.0) {
@@ -297,7 +297,7 @@ Leak leak_integrals(double a, double h) {
 
 namespace {
 
-// C (rows, columns) = A (rows, inner) B (inner, columns); strides are lengths of rows.
+// C (rows, columns) = A (rows, inner) B (inner, columns); sa, sb, ... are row strides.
 void multiply(int rows, int inner, int columns, const double *A, int sa, const double *B, int sb,
     double *C, int sc) {
   for (int i = 0; i < rows; ++i) {
@@ -311,7 +311,7 @@ void multiply(int rows, int inner, int columns, const double *A, int sa, const d
   }
 }
 
-// P <- Phi P Phi^T + Q. Only the first n rows and columns of Phi couple, through W = G diag(phi).
+// P <- Phi P Phi^T + Q. Only the first n rows of Phi have off-diagonal entries, W = G diag(phi).
 void predict(const MomentumInputs &in, double h, double *x, double *P, double *W, double *T) {
   const int n = in.n, m = in.m, N = n + m;
   Leak leak[max_inputs];
@@ -321,11 +321,11 @@ void predict(const MomentumInputs &in, double h, double *x, double *P, double *W
   for (int i = 0; i < n; ++i)
     for (int j = 0; j < m; ++j) x[i] += W[m * i + j] * x[n + j];
   for (int j = 0; j < m; ++j) x[n + j] *= leak[j].decay;
-  // Rows p of Phi P: those of P plus W times rows z.
+  // Momentum rows of Phi P: those of P plus W times the input rows.
   multiply(n, m, N, W, m, P + N * n, N, T, N);
   for (int i = 0; i < n; ++i)
     for (int j = 0; j < N; ++j) P[N * i + j] += T[N * i + j];
-  // Columns p of (Phi P) Phi^T, rows p only; the rest follows from symmetry.
+  // Momentum columns of (Phi P) Phi^T, momentum rows only; symmetry gives the rest.
   for (int i = 0; i < n; ++i)
     for (int k = 0; k <= i; ++k) {
       double sum = P[N * i + k] + (i == k ? in.Qp[i] * h : 0.0);
@@ -367,7 +367,7 @@ bool momentum_step(const MomentumInputs &in, const double *u, const double *y, c
     substitute(S, n, K + n * i);
     for (int k = 0; k < n; ++k) x[i] += K[n * i + k] * innovation[k];
   }
-  // Joseph: A P A^T + K R K^T with A = I - K [I 0]; first T = A P, then P = T A^T.
+  // Joseph form A P A^T + K R K^T with A = I - K [I 0]: first T = A P, then P = T A^T.
   multiply(N, n, N, K, n, P, N, T, N);
   for (int i = 0; i < N * N; ++i) T[i] = P[i] - T[i];
   double *KR = W;

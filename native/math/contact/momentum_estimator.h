@@ -1,4 +1,4 @@
-// Contact wrench by the generalised momentum; mathematics: docs/theory/contact_force.md.
+// Contact wrench from the generalised momentum. Theory: docs/theory/contact_force.md.
 #pragma once
 
 #include "math/contact/estimator.h"
@@ -8,8 +8,8 @@ namespace armlab {
 constexpr int max_inputs = max_joints + 6;
 constexpr int max_states = max_joints + max_inputs;
 
-// Of a leak a over a step h, phi(s) = (1 - e^(-a s)) / a: e^(-a h), phi(h), and the integrals over
-// the step of e^(-2 a s), phi e^(-a s), phi^2.
+// Integrals of a leak a over a step h, with phi(s) = (1 - e^(-a s)) / a: e^(-a h), phi(h), and the
+// integrals over the step of e^(-2 a s), phi e^(-a s) and phi^2.
 struct Leak {
   double decay, phi, zz, pz, pp;
 };
@@ -21,8 +21,8 @@ struct MomentumInputs {
   const double *Qp, *q, *a;  // (n), (m), (m)
 };
 
-// x (n + m) and P (n + m, n + m), row by row, in place; u, y (n), R (n, n). `work` holds 4 (n +
-// m)^2 numbers. False, and nothing changed, without a positive covariance.
+// Updates x (n + m) and P (n + m, n + m), row by row, in place; u, y (n), R (n, n). `work`: 4 (n +
+// m)^2 numbers. Returns false without any change if the covariance is not positive definite.
 bool momentum_step(const MomentumInputs &inputs, const double *u, const double *y, const double *R,
     double h, double *x, double *P, double *work);
 
@@ -31,11 +31,11 @@ class MomentumEstimator {
   struct Parameters : ArmModel {
     using ArmModel::ArmModel;
     std::array<double, max_joints> memory;    // correlation time of the torque error [s]
-    std::array<double, max_joints> qd_noise;  // deviation of the measured velocity
-    std::array<double, 6> rate, leak;         // of the wrench's walk [N^2/s, (N m)^2/s]; [1/s]
-    double gain;                              // of the observer [1/s]
-    bool filters;                             // Kalman filter, else the observer
-    bool biased;                              // the filter has a hidden friction error per joint
+    std::array<double, max_joints> qd_noise;  // standard deviation of the measured velocity
+    std::array<double, 6> rate, leak;         // random walk of the wrench [N^2/s, (N m)^2/s]; [1/s]
+    double gain;                              // observer gain [1/s]
+    bool filters;                             // true: Kalman filter; false: observer
+    bool biased;                              // estimate a friction error per joint
   };
 
   explicit MomentumEstimator(const Parameters &parameters);
@@ -43,26 +43,27 @@ class MomentumEstimator {
   int n() const { return p_.chain.n; }
   bool has_interval() const { return false; }
   void reset();
-  // One sample. All NaN and flag 1 for a non-finite sample, which changes no state.
+  // Processes one sample. A non-finite sample gives NaN and flag 1, and changes no state.
   void step(
       const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
-  // Assigns the current torques to friction; false unless every joint rests and friction is hidden.
+  // Attributes the current torques to friction. False unless all joints rest and the filter
+  // estimates friction errors.
   bool tare();
 
  private:
   struct Joint {
     JointDrive drive;
-    double q, qd, known, momentum;  // of the last sample
-    double residual, unsure;        // of the observer: low-passed
-    double since_tare;              // displacement, in presliding distances
+    double q, qd, known, momentum;  // values of the last sample
+    double residual, unsure;        // observer states, low-passed
+    double since_tare;              // displacement in presliding distances
   };
   // A prepared sample; the state of the estimator is still unchanged.
   struct Sample {
     std::array<Joint, max_joints> joints;
-    double known[max_joints], middle[max_joints];  // torque and position in the middle of the step
-    double change[max_joints], load[max_joints];   // of the momentum; torque of the links
-    double moved[max_joints], rise[max_joints];    // displacement; variance of z that rest adds
-    bool apart;  // from the last sample: nothing is known of the time between
+    double known[max_joints], middle[max_joints];  // torque and position at mid-step
+    double change[max_joints], load[max_joints];   // momentum change; torque of the links
+    double moved[max_joints], rise[max_joints];    // displacement; rise of var(z) at rest
+    bool apart;                                    // after a gap with unknown motion
   };
 
   int unknowns() const { return p_.at_point ? 3 : 6; }
@@ -78,10 +79,10 @@ class MomentumEstimator {
 
   Parameters p_;
   std::array<Joint, max_joints> joints_;
-  std::vector<double> x_, P_, work_;            // of the filter: [p; z; friction error]
-  std::vector<double> M_, R_, G_, Qp_, q_, a_;  // of a step, kept so that none allocates
-  double seen_, nominal_;       // share of the wrench that the observer has seen; first step
-  bool first_, fresh_, tared_;  // fresh: at the last sample nothing was known of friction yet
+  std::vector<double> x_, P_, work_;            // filter state [p; z; friction error]
+  std::vector<double> M_, R_, G_, Qp_, q_, a_;  // workspace of a step
+  double seen_, nominal_;                       // share of the wrench in the observer; first step
+  bool first_, fresh_, tared_;                  // fresh: friction was unknown at the last sample
 };
 
 }  // namespace armlab

@@ -4,13 +4,13 @@
 namespace armlab {
 namespace {
 
-constexpr int newton_limit = 60;    // 14 were needed at most in 1e5 random problems
+constexpr int newton_limit = 60;    // 1e5 random problems needed at most 14
 constexpr int clip_limit = 20000;   // the clip iteration needs thousands
 constexpr double kkt_goal = 1e-10;  // clip stops here
 constexpr double weakest = 1e-12;   // ls, ols: smallest pivot of the scaled information
-constexpr double rounding = 1e-14;  // map: a pivot below it, by the largest variance, has no digit
+constexpr double rounding = 1e-14;  // map: smallest pivot with significant digits, relative
 
-// P = scale S^-1 scale for S (k, k) from `factor`.
+// P = scale S^-1 scale for the S (k, k) factorised by `factor`.
 void inverse(const double *L, int k, const double *scale, double *P) {
   for (int j = 0; j < k; ++j) {
     double column[6] = {};
@@ -44,8 +44,8 @@ void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
     }
 }
 
-// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and is defined at
-// singular poses. False if no significant digits are left.
+// K = C_F A S^-1, S = A^T C_F A + C_tau: inverts neither covariance and is defined at singular
+// poses. False if no significant digits are left.
 bool map_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double S[max_joints * max_joints], largest = 0.0;
@@ -66,7 +66,7 @@ bool map_gain(const WrenchProblem &p, double *K) {
   return true;
 }
 
-// As printed in TFRT-7651: (A C_tau A^T + C_F^-1)^-1 A C_tau e, correct if C_tau is a weight.
+// As printed in TFRT-7651, (A C_tau A^T + C_F^-1)^-1 A C_tau e; correct if C_tau is a weight.
 bool printed_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double H[36];
@@ -92,8 +92,8 @@ void undetermined(const WrenchProblem &p, WrenchSolution &s) {
   std::fill_n(s.P, p.k * p.k, std::numeric_limits<double>::quiet_NaN());
 }
 
-// K = (A W A^T)^-1 A W with the weights W = C_tau^-1 of ls, 1 of ols; the unknowns are scaled only
-// to determine the rank. False if they are not determined.
+// K = (A W A^T)^-1 A W with weights W = C_tau^-1 for ls and 1 for ols. The unknowns are scaled only
+// to determine the rank. False if the unknowns are not identifiable.
 bool least_squares_gain(const WrenchProblem &p, bool weighted, double *K) {
   const int n = p.n, k = p.k;
   double H[36], scale[6], weight[max_joints];
@@ -118,8 +118,8 @@ bool least_squares_gain(const WrenchProblem &p, bool weighted, double *K) {
   return true;
 }
 
-// The cost sum_i max(|r_i| - bound_i, 0)^2 / variance_i + y^T y over unknowns y in units of the
-// prior: convex, smooth, piecewise quadratic. `beyond` are the residuals minus the bound.
+// Cost sum_i max(|r_i| - bound_i, 0)^2 / variance_i + y^T y over the unknowns y in units of the
+// prior: convex, smooth, piecewise quadratic. `beyond`: residuals minus the bound.
 struct BandCost {
   const WrenchProblem &p;
   double scale[6];
@@ -139,7 +139,7 @@ struct BandCost {
     for (int a = 0; a < p.k; ++a) cost += y[a] * y[a];
     return cost;
   }
-  // Half the gradient at y, after the cost of y; returns its largest entry.
+  // Half the gradient at y, where the cost was evaluated; returns its largest entry.
   double gradient(const double *y, double *g) const {
     double largest = 0.0;
     for (int a = 0; a < p.k; ++a) {
@@ -149,7 +149,7 @@ struct BandCost {
     }
     return largest;
   }
-  // Factor of half the Hessian; joints inside their band contribute nothing.
+  // Factorises half the Hessian; joints within their bound contribute nothing.
   bool hessian(double *H) const {
     for (int a = 0; a < p.k; ++a)
       for (int b = 0; b <= a; ++b) {
@@ -174,7 +174,7 @@ void finish(const BandCost &cost, const double *y, WrenchSolution &s) {
   for (int i = 0; i < cost.p.n; ++i) s.active[i] = cost.beyond[i] != 0.0;
 }
 
-// Semismooth Newton with step halving; exact once no joint changes its side of the band.
+// Semismooth Newton with step halving; exact once no joint crosses its bound.
 void newton(const WrenchProblem &p, WrenchSolution &s) {
   const int k = p.k;
   BandCost cost(p);
@@ -195,7 +195,7 @@ void newton(const WrenchProblem &p, WrenchSolution &s) {
       next = cost(trial);
       if (next <= value + 1e-4 * length * slope) break;
     }
-    if (!(next < value)) {  // nothing more to gain in double precision
+    if (!(next < value)) {  // converged to double precision
       value = cost(y);
       break;
     }
@@ -206,7 +206,7 @@ void newton(const WrenchProblem &p, WrenchSolution &s) {
   finish(cost, y, s);
 }
 
-// d <- clip(e - A^T x, -bound, bound); x <- MAP(e - d). Monotone and slow.
+// d <- clip(e - A^T x, -bound, bound); x <- MAP(e - d). Converges monotonically but slowly.
 void clip(const WrenchProblem &p, WrenchSolution &s) {
   const int n = p.n, k = p.k;
   double K[6 * max_joints], y[6] = {}, g[6];
@@ -250,10 +250,10 @@ void solve_wrench(const WrenchProblem &p, WrenchMethod method, WrenchSolution &s
 
 namespace {
 
-constexpr int pivot_limit = 200;  // 12 were needed at most in 1e5 random problems
+constexpr int pivot_limit = 200;  // 1e5 random problems needed at most 12
 constexpr double tolerance = 1e-10;
 
-// Solves M x = b (or M^T x = b), M (k, k), by elimination with row pivots; false when singular.
+// Solves M x = b (or M^T x = b) for M (k, k) by elimination with row pivoting; false if singular.
 bool solve(const double *M, int k, bool transposed, const double *b, double *x) {
   double W[6][7];
   for (int i = 0; i < k; ++i) {
@@ -279,7 +279,8 @@ bool solve(const double *M, int k, bool transposed, const double *b, double *x) 
   return true;
 }
 
-// Rows -box <= x_a <= box, then e_i - spread_i <= A_i^T x <= e_i + spread_i, in units of the box.
+// Constraints -box <= x_a <= box and e_i - spread_i <= A_i^T x <= e_i + spread_i, in units of the
+// box.
 struct Polytope {
   int k, rows;
   double normal[6 + max_joints][6], low[6 + max_joints], high[6 + max_joints];
@@ -292,8 +293,8 @@ struct Polytope {
 };
 
 struct Vertex {
-  int row[6];     // the k rows that hold with equality
-  bool upper[6];  // at their upper end
+  int row[6];     // the k active constraints
+  bool upper[6];  // active at the upper end
   double x[6];
 
   bool place(const Polytope &set) {
@@ -308,8 +309,9 @@ struct Vertex {
 
 enum class Outcome { found, empty, failed };
 
-// Maximises c^T x. Starts at the corner of the box in the direction of c, which is dual feasible,
-// and adds the most violated row until none is violated. `entering`: the last row left out.
+// Maximises c^T x by the dual simplex method. Starts at the corner of the box in the direction of
+// c, which is dual feasible, and adds the most violated constraint until none is violated.
+// `entering`: the last violated constraint.
 Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering) {
   const int k = set.k;
   for (int a = 0; a < k; ++a) {
@@ -369,7 +371,7 @@ bool wrench_interval(int n, int k, const double *A, const double *error, const d
     set.low[a] = -1.0;
     set.high[a] = 1.0;
   }
-  for (int i = 0; i < n; ++i) {  // rows scaled to size 1, so that one tolerance serves all
+  for (int i = 0; i < n; ++i) {  // rows scaled to size 1, so one tolerance applies to all
     double size = 1e-300;
     for (int a = 0; a < k; ++a) size = std::max(size, std::fabs(A[n * a + i] * box[a]));
     for (int a = 0; a < k; ++a) set.normal[k + i][a] = A[n * a + i] * box[a] / size;
@@ -378,8 +380,8 @@ bool wrench_interval(int n, int k, const double *A, const double *error, const d
   }
   for (int a = 0; a < k; ++a)
     for (int end = 0; end < 2; ++end) {
-      // Small weights of all other axes break ties, by which a simplex could cycle; the end is
-      // extended by their largest effect.
+      // Small weights on all other axes break ties, which could make a simplex method cycle. The
+      // result is widened by their largest effect.
       double c[6], margin = 0.0;
       for (int b = 0; b < k; ++b) margin += 2.0 * (c[b] = 1e-11 * (1.0 + 0.1 * b));
       c[a] = end ? 1.0 : -1.0;
@@ -392,7 +394,7 @@ bool wrench_interval(int n, int k, const double *A, const double *error, const d
           if (v.row[i] >= k) violated[v.row[i] - k] = true;
         return false;
       }
-      // Without a solution, only the box is known.
+      // Without a solution, the box is the only bound.
       const double reach = outcome == Outcome::found ? c[a] * v.x[a] + margin : 1.0;
       interval[2 * a + end] = c[a] * box[a] * std::min(reach, 1.0);
     }

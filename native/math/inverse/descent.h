@@ -1,4 +1,4 @@
-// Descent of the inverse kinematics from successive starts; see inverse.h.
+// Descent of the inverse kinematics from successive starts. See inverse.h.
 #pragma once
 
 #include <cstddef>
@@ -9,12 +9,12 @@
 namespace armlab {
 
 constexpr double least_damping = 1e-12;
-constexpr int grace = 3;  // steps in a row that may fail to be the best before they are taken back
-constexpr int second_order_window = 8;      // steps of second order that must halve the error
-constexpr double least_share = 1e-3;        // of a step of second order
-constexpr double stationary_cosine = 1e-2;  // of the residual and what free joints can do about it
+constexpr int grace = 3;  // consecutive steps without a new best before they are undone
+constexpr int second_order_window = 8;      // second-order steps that must halve the error
+constexpr double least_share = 1e-3;        // smallest share of a second-order step
+constexpr double stationary_cosine = 1e-2;  // between the residual and its reducible part
 
-// A start is abandoned when the last `window` steps left more than `rate` of |e|^2.
+// A start is abandoned if more than `rate` of |e|^2 is left after the last `window` steps.
 struct Patience {
   int window;
   double rate;
@@ -22,16 +22,16 @@ struct Patience {
 constexpr int most_window = 24;
 constexpr Patience hasty{4, 0.5}, patient{most_window, 1.0 - 1e-6};
 
-// Steps towards one goal, from one start after the other.
+// Steps towards one goal from successive starts.
 template <int M>
 class Descent {
  public:
   Descent(const Chain &chain, const Goal &goal, const Search &search, double weight)
       : chain_(chain), goal_(goal), search_(search), weight_(weight) {}
 
-  // Descends from q inside the box; true when it reaches the goal. A step that does not reduce the
-  // error may still lead on, as along a curved valley near a singular posture: `grace` of them are
-  // allowed before the damping is increased.
+  // Descends from q inside the box; true if it reaches the goal. A step that does not reduce the
+  // error may still make progress, for example along a curved valley near a singular posture.
+  // `grace` such steps are allowed before the damping increases.
   bool run(const double *q, const Box &box, Patience patience, double *history) {
     for (int i = 0; i < chain_.n; ++i) best_->q[i] = clamp(q[i], box.low[i], box.high[i]);
     evaluate(chain_, goal_, weight_, *best_);
@@ -72,7 +72,7 @@ class Descent {
     }
   }
 
-  // Second-order steps from the best posture, beside a singular one; true when they get to the
+  // Takes second-order steps from the best posture, near a singularity; true if they reach the
   // goal.
   bool leave_singularity(const Box &box) {
     double before = std::numeric_limits<double>::infinity();
@@ -94,10 +94,10 @@ class Descent {
     return best_->within(search_);
   }
 
-  // The posture with the least error of the last run.
+  // The posture with the smallest error in the last run.
   const Iterate<M> &best() const { return *best_; }
 
-  // Whether the residual pulls joint i against its end of the box.
+  // Whether the residual pushes joint i against its limit in the box.
   bool is_blocked(const Box &box, int i) const {
     return (best_->q[i] >= box.high[i] && slope(i) > 0.0) ||
            (best_->q[i] <= box.low[i] && slope(i) < 0.0);
@@ -107,7 +107,7 @@ class Descent {
       if (is_blocked(box, i)) return true;
     return false;
   }
-  // Whether no free joint reduces the error.
+  // Whether no free joint can reduce the error.
   bool is_stationary(const Box &box) const {
     double slopes = 0.0, sizes = 0.0;
     for (int i = 0; i < chain_.n; ++i) {
@@ -119,10 +119,10 @@ class Descent {
   }
 
   // Whether the best posture is singular. With enough joints for the task, a stationary residual
-  // shows it; otherwise, dependent columns of J.
+  // indicates a singularity; otherwise, linearly dependent columns of J do.
   bool is_singular() const {
     if (chain_.n >= M) return true;
-    double Q[M][M];  // orthogonal to each other, by Gram and Schmidt
+    double Q[M][M];  // orthogonalised by Gram-Schmidt
     for (int i = 0; i < chain_.n; ++i) {
       double before = 0.0, after = 0.0;
       std::copy_n(best_->J[i], M, Q[i]);
@@ -139,7 +139,7 @@ class Descent {
     return false;
   }
 
-  // The motion v (n) of unit length that changes the residual least, by inverse iteration.
+  // The unit motion v (n) that changes the residual least, by inverse iteration.
   void find_weakest(double *v) const {
     const int n = chain_.n;
     double A[max_joints * max_joints];
@@ -158,14 +158,14 @@ class Descent {
     }
   }
 
-  int steps() const { return steps_; }  // of all runs
+  int steps() const { return steps_; }  // total over all runs
   Outcome outcome(Status status, int starts) const {
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     return {status, best_->position_error, best_->rotation_error, nan, steps_, starts};
   }
 
  private:
-  double slope(int i) const {  // how fast |e|^2 / 2 falls along joint i
+  double slope(int i) const {  // rate at which |e|^2 / 2 decreases along joint i
     double sum = 0.0;
     for (int a = 0; a < M; ++a) sum += best_->J[i][a] * best_->e[a];
     return sum;

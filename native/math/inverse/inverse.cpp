@@ -8,11 +8,11 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
-// Range by which postures of the second half exceed the limits, before they are moved back.
+// Relative range by which postures of the second half exceed the limits before they are clamped.
 constexpr double over_limits = 0.5;
-constexpr double nearly = 1e-4;  // rad, of an error that only a singular posture leaves
-constexpr int turns = 16;        // about the weakest direction, to both sides
-constexpr int few_starts = 10;   // beyond reach, beside a singular posture, or without limits
+constexpr double nearly = 1e-4;  // rad, largest error attributed to a singular posture
+constexpr int turns = 16;        // rotations along the weakest direction, both ways
+constexpr int few_starts = 10;   // out of reach, near a singular posture, or without limits
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
   const double x = std::fabs(axis.x), y = std::fabs(axis.y), z = std::fabs(axis.z);
@@ -34,7 +34,7 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     const double *home, std::uint64_t seed)
     : chain_(chain), angles_(postures * chain.n), poses_(12 * postures) {
   const int n = chain.n;
-  // The displacement of joint i's link from its zero position.
+  // Largest displacement of joint i from zero.
   double slides[max_joints + 1] = {}, lengths = 0.0;
   for (int i = 0; i < n; ++i) {
     limits_.low[i] = low[i];
@@ -56,7 +56,7 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     double *q = &angles_[k * n];
     const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
-      // With one limit only: one revolution, or twice the arm's length, from it or about zero.
+      // With only one limit: one revolution, or twice the arm length, from the limit or about zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;
@@ -74,11 +74,11 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
       poses_[a * postures + k] = T[16 * k + (a < 9 ? 4 * (a / 3) + a % 3 : 4 * (a - 9) + 3)];
 }
 
-// Start `number` of the table: of block number mod blocks, the posture next in the order of |e|^2
-// (rotations as 2 (1 - cos)); then the next block.
+// Start `number` from the table: in block number mod blocks, the posture of rank number / blocks by
+// |e|^2 (rotations as 2 (1 - cos)).
 void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   const double across = goal.task == Task::axis ? 0.0 : weight_ * weight_;
-  double wanted[9] = {};  // the error of rotation is a constant less sum(wanted * R)
+  double wanted[9] = {};  // rotation error = constant - sum(wanted * R)
   const Vec3<double> d = goal.T.turn(goal.axis), columns[3] = {goal.T.x, goal.T.y, goal.T.z};
   const double a[3] = {goal.axis.x, goal.axis.y, goal.axis.z};
   for (int c = 0; c < 3 && goal.task != Task::position; ++c) {
@@ -103,7 +103,7 @@ void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   std::copy_n(&angles_[(first + (best - distance)) * chain_.n], chain_.n, q);
 }
 
-// Whether the goal is further from the first joint than the links are long.
+// Whether the goal is further from the first joint than the length of the links.
 bool InverseSolver::beyond_reach(const Goal &goal, double tolerance) const {
   if (goal.task == Task::axis) return false;
   const Pose<double> last(chain_.frame(chain_.n));
@@ -144,7 +144,7 @@ Outcome InverseSolver::solve_rows(
     least = std::min(least, descent.best().square);
   }
   const bool found =
-      descent.run(q, limits_, patient, search.history);  // the best of them to its end
+      descent.run(q, limits_, patient, search.history);  // run the best start to its end
   if (found) return finish(descent, goal, search, limits_, starts, q);
   std::copy_n(descent.best().q, chain_.n, q);
   if (beyond) return descent.outcome(Status::out_of_reach, starts);
@@ -156,9 +156,9 @@ Outcome InverseSolver::solve_rows(
   return explain(descent, goal, search, q);
 }
 
-// Near a singular posture a small error remains along the one direction without first-order motion.
-// Second-order steps reduce it, from here or from where other starts end near one. `q` is the best
-// posture, also on failure.
+// Near a singular posture, a small error remains along the direction without first-order motion.
+// Second-order steps reduce it, from here or from where other starts end near a singular posture.
+// `q` is the best posture, also on failure.
 template <int M>
 bool InverseSolver::leave_singularity(
     Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {
@@ -192,7 +192,7 @@ bool InverseSolver::turn_weakest(Descent<M> &descent, double *history, double *q
   return descent.run(q, limits_, patient, history);
 }
 
-// The solution, moved along the self-motion if there is an objective.
+// Returns the solution, after optimisation along the self-motion if there is an objective.
 template <int M>
 Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const Search &search,
     const Box &box, int starts, double *q) const {
@@ -209,7 +209,7 @@ Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const
   return outcome;
 }
 
-// The reason why the descent ends; q is replaced if a solution is found on the way.
+// Returns the reason for failure; replaces q if it finds a solution in the process.
 template <int M>
 Outcome InverseSolver::explain(
     Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {

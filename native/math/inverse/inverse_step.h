@@ -1,5 +1,5 @@
 // One start of the inverse kinematics: residual, Jacobian and damped steps inside a box. M is the
-// number of rows of the task; see inverse.h.
+// number of rows of the task. See inverse.h.
 #pragma once
 
 #include <limits>
@@ -10,7 +10,7 @@
 
 namespace armlab {
 
-// SplitMix64: number `index` of the sequence of `seed`, uniform in [0, 1).
+// SplitMix64: element `index` of the sequence with seed `seed`, uniform in [0, 1).
 inline double uniform(std::uint64_t seed, std::uint64_t index) {
   std::uint64_t z = seed + (index + 1) * 0x9e3779b97f4a7c15u;
   z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
@@ -20,8 +20,8 @@ inline double uniform(std::uint64_t seed, std::uint64_t index) {
 
 inline double clamp(double x, double low, double high) { return std::min(std::max(x, low), high); }
 
-// Residual and Jacobian at a posture, about the same point: rows in radians (weight times metres),
-// base axes. A small step dq changes the residual by -J dq.
+// Residual and Jacobian at a posture, about the same point, in base axes. Rows are in radians
+// (lengths times the weight). A small step dq changes the residual by -J dq.
 template <int M>
 struct Iterate {
   static constexpr bool has_position = M != 2, has_rotation = M == 6, has_axis = M == 5 || M == 2;
@@ -39,7 +39,7 @@ struct Iterate {
   }
 };
 
-// The shortest rotation from the tool's axis to the goal's, about two directions across it.
+// The shortest rotation from the tool axis to the goal axis, about two normals of the axis.
 inline void axis_residual(
     const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
   const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis),
@@ -48,7 +48,7 @@ inline void axis_residual(
   across[1] = T.turn(goal.across[1]);
   const double sine = norm(turn), cosine = dot(now, wanted);
   const double angle = std::atan2(sine, cosine);
-  if (sine == 0.0) {  // along, or against: then any direction across is as short
+  if (sine == 0.0) {  // parallel or opposite: every normal direction is equally short
     e[0] = angle;
     e[1] = 0.0;
     return;
@@ -57,7 +57,7 @@ inline void axis_residual(
   e[1] = dot(across[1], turn) * (angle / sine);
 }
 
-// R_goal R^T: what turns the tool into the goal, in base axes.
+// R_goal R^T: the rotation from the tool to the goal, in base axes.
 inline Rotation<double> rotation_between(const Pose<double> &T, const Pose<double> &goal) {
   return {T.x.x * goal.x + T.y.x * goal.y + T.z.x * goal.z,
       T.x.y * goal.x + T.y.y * goal.y + T.z.y * goal.z,
@@ -126,8 +126,8 @@ inline void normal_matrix(
         for (int b = 0; b < M; ++b) A[a][b] += J[i][a] * J[i][b];
 }
 
-// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e within the box: joints that would leave it
-// stop at their limit, the others compensate. False: no solution.
+// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e within the box. Joints that would leave the
+// box stop at their limit, and the others compensate. False if there is no solution.
 template <int M>
 inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Iterate<M> &next) {
   bool moves[max_joints];

@@ -1,18 +1,18 @@
-// Linear algebra of the self-motion: the null space of a task, and Newton steps in it.
+// Linear algebra of the self-motion: null space of a task, and Newton steps in it.
 #pragma once
 
 #include "math/arm/chain.h"
 
 namespace armlab {
 
-constexpr double no_slope = 1e-6;  // along a direction without curvature, of the slope
+constexpr double no_slope = 1e-6;  // relative slope that counts as zero if there is no curvature
 
 // The null space of J (M rows) over the moving joints, and the projection of a gradient onto it:
 // gradient = J^T mu + N reduced. By Householder reflections of J^T.
 template <int M>
 struct NullSpace {
-  int joints, joint[max_joints];         // those that move
-  int size;                              // dimensions
+  int joints, joint[max_joints];         // the moving joints
+  int size;                              // dimension
   double basis[max_joints][max_joints];  // N^T (size, joints), orthonormal
   double mu[M], reduced[max_joints];
 
@@ -43,7 +43,7 @@ struct NullSpace {
       }
       mirror(v, a, y);
     }
-    // R mu = the first M of y; where the task is singular its multiplier is 0
+    // R mu = the first M elements of y; in singular directions, the multiplier is 0
     for (int a = M - 1; a >= 0; --a) {
       mu[a] = y[a];
       for (int b = a + 1; b < M; ++b) mu[a] -= A[a][b] * mu[b];
@@ -84,9 +84,9 @@ inline void rotate(double &x, double &y, double c, double s) {
   x = turned;
 }
 
-// z = -|H|^-1 g with the absolute values of the eigenvalues: a descent direction also for negative
-// curvature, and zero along directions without slope and curvature. H is diagonalised by Jacobi
-// rotations.
+// z = -|H|^-1 g with the absolute values of the eigenvalues: a descent direction even with negative
+// curvature, and zero along directions without slope and curvature. Jacobi rotations diagonalise
+// H.
 inline void newton_step(int size, double (*H)[max_joints], const double *g, double *z) {
   double V[max_joints][max_joints], largest = 0.0, length = 0.0;  // rows: eigenvectors
   for (int k = 0; k < size; ++k)

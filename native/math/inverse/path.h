@@ -1,4 +1,4 @@
-// Inverse kinematics along a path of poses: each from the previous one, on one branch.
+// Inverse kinematics along a path of poses: each row starts from the previous one, on one branch.
 #pragma once
 
 #include "math/inverse/descent.h"
@@ -7,21 +7,21 @@
 namespace armlab {
 
 struct PathRow {
-  Outcome outcome;    // Status::bound: only further than `change`
-  bool other_branch;  // the row is on another branch than the one before
+  Outcome outcome;    // Status::bound: all solutions are further than `change`
+  bool other_branch;  // the row is on a different branch than the previous row
 };
 
-// The state between two rows; `first` once, then `next`.
+// The state between two rows: call `first` once, then `next`.
 template <int M>
 class PathFollower {
  public:
-  // change (n): largest joint step per row; null: from the length of the pose step.
+  // change (n): largest joint step per row; null: computed from the length of the pose step.
   PathFollower(const InverseSolver &solver, const double *change)
       : solver_(solver), chain_(solver.chain()), n_(solver.chain().n), change_(change) {}
 
   const double *q() const { return q_; }
 
-  // The first row: from q0 (n), or, if null or without success, from the solver's table.
+  // The first row: from q0 (n), or from the solver's table if q0 is null or fails.
   PathRow first(const Goal &goal, const Search &search, const double *q0) {
     goal_ = &goal;
     search_ = &search;
@@ -46,16 +46,16 @@ class PathFollower {
   }
 
  private:
-  // Without `change` a joint may move at least by [rad], and by of the length of the pose step.
+  // Without `change`: least joint step [rad], and joint step per length of the pose step.
   static constexpr double least_change = 0.05, most_change = 5.0;
   static constexpr int tries = 24, enough_found = 4;
 
-  // The posture with the least error inside the bound, from `start`.
+  // The posture with the smallest error inside the bound, from `start`.
   Outcome reach(const double *start, const Box &bound, double *q) const {
     return solver_.follow(*goal_, *search_, start, bound, q);
   }
 
-  // The start of the next row: extrapolates the last step, without its null-space component.
+  // Extrapolates the last step, without its null-space component, to the start of the next row.
   // Returns the box reachable by the joints.
   Box predict(double *start) const {
     Iterate<M> here;
@@ -81,8 +81,9 @@ class PathFollower {
     return bound;
   }
 
-  // If the descent from the previous row ends within the bound without a solution: random starts
-  // near that row; then further along this branch; then on other branches; else the best result.
+  // Used if the descent from the previous row ends within the bound without a solution. Tries
+  // random starts near that row, then this branch beyond the bound, then other branches. If all
+  // fail, returns the best result.
   PathRow recover(const double *before, const Box &bound, Outcome outcome) {
     const bool thorough = (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures
     if (thorough && search_around(before, bound, outcome)) return finish(before, outcome, false);
@@ -140,10 +141,10 @@ class PathFollower {
   const Chain &chain_;
   const int n_;
   const double *change_;
-  const Goal *goal_ = nullptr;  // of the row, as are the two below
+  const Goal *goal_ = nullptr;  // current row
   const Search *search_ = nullptr;
   std::uint64_t row_ = 0;
-  std::uint64_t failures_ = 0;  // of the last rows, without a gap
+  std::uint64_t failures_ = 0;  // consecutive failed rows
   double q_[max_joints], moved_[max_joints];
 };
 

@@ -1,9 +1,9 @@
-// A step beside a singular posture, where first-order steps stall. See inverse.h.
+// A step near a singular posture, where first-order steps stall. See inverse.h.
 //
-// There, joints hardly move the residual along one direction u. The others determine all joints but
-// a few, along z, and what is left is a scalar equation that needs its second order:
+// Near a singularity, joints hardly move the residual along one direction u. The other rows
+// determine all joint motions except z. The remaining scalar equation needs its second-order term:
 //   u^T e = u^T J d + u^T S(d, d) / 2,   d = N z,   S(d, d) = (dJ/dq d) d
-// N (n, n - M + 1) are the joint motions that J maps to u alone.
+// N (n, n - M + 1) spans the joint motions that J maps to multiples of u.
 #pragma once
 
 #include "math/inverse/inverse_step.h"
@@ -21,7 +21,7 @@ class SecondOrderStep {
     choose();
   }
 
-  // `next` is the posture after `share` of the step, with its residual.
+  // Sets `next` to the posture after `share` of the step, with its residual.
   void take(double share, const Box &box, Iterate<M> &next) const {
     double e[M], dq[max_joints];
     for (int a = 0; a < M; ++a) {
@@ -48,7 +48,7 @@ class SecondOrderStep {
   static constexpr int most = 3, angles = 16, corrections = 2;
   static constexpr double tiny = 1e-12, difference = 1e-4;  // damping; rad
 
-  // u, and J J^T + |J|^2 u u^T in factors.
+  // Finds u, and factorises J J^T + |J|^2 u u^T.
   void find_residual_direction() {
     bool uses[max_joints];
     double A[M][M];
@@ -75,7 +75,7 @@ class SecondOrderStep {
     return sum;
   }
 
-  // The least motion that makes up for e, apart from its part along u.
+  // The smallest motion that compensates e, except for its part along u.
   void determined(const double *e, double *dq) const {
     double y[M];
     const double part = along(e);
@@ -87,8 +87,8 @@ class SecondOrderStep {
     }
   }
 
-  // An orthonormal basis of the motions that J maps to u alone: of the joints' unit motions, what
-  // `determined` leaves, the longest first.
+  // Finds an orthonormal basis of the motions that J maps to multiples of u: the unit motions of
+  // the joints minus their `determined` part, longest first.
   void find_motions() {
     const int n = chain_.n;
     double left[max_joints][max_joints];
@@ -115,7 +115,7 @@ class SecondOrderStep {
     }
   }
 
-  // S by central differences of J along the motions.
+  // Computes S from central differences of J along the motions.
   void find_curvature() {
     Iterate<M> before, after;
     for (int k = 0; k < count_; ++k) {
@@ -134,8 +134,8 @@ class SecondOrderStep {
     }
   }
 
-  // The shortest z in the planes of two motions that solves the scalar equation; if none does, the
-  // one that leaves least.
+  // Chooses the shortest z in the planes of two motions that solves the scalar equation; if there
+  // is none, the z with the smallest remainder.
   void choose() {
     double slope[most], least = std::numeric_limits<double>::infinity(), shortest = least;
     for (int k = 0; k < count_; ++k) {

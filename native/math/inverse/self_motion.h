@@ -1,7 +1,7 @@
-// The self-motion of a redundant arm: minimisation of an objective in the null space.
+// Self-motion of a redundant arm: minimises an objective in the null space of the task.
 //
 // Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints
-// that a step would push against their limit stay there. Each step ends at the goal.
+// stay at limits that a step would push them against. Each step ends at the goal.
 #pragma once
 
 #include "math/inverse/null_space.h"
@@ -10,13 +10,12 @@
 namespace armlab {
 
 // Objectives for redundant joints.
-constexpr double tie = 1e-3;  // of the sum of squares in the objective "limits"
+constexpr double tie = 1e-3;  // weight of the sum of squares in the objective "limits"
 
-// With x = scale (q - reference), joint by joint:
+// With x = scale (q - reference), per joint:
 // posture  sum of x^2 / 2
-// limits   the largest |x| made smooth, log(sum of exp(s x) + exp(-s x)) / s with the sharpness s,
-// and a little of the
-//          sum of x^2 / 2 for the joints that are not the nearest to their limits
+// limits   smoothed largest |x|, log(sum of exp(s x) + exp(-s x)) / s with sharpness s, plus a
+//          small multiple of the sum of x^2 / 2 for joints that are not nearest to their limits
 inline double posture_objective(int n, const Objective &wanted, const double *q, double *gradient) {
   double value = 0.0;
   for (int i = 0; i < n; ++i) {
@@ -44,8 +43,8 @@ inline double limits_objective(
   return largest + std::log(sum) / sharpness + 0.5 * tie * squares;
 }
 
-// -log(det(J J^T)) / 2 of the rows of the task. With G = (J J^T)^-1 J and c_j = rows of the task
-// times G_j, a twist:
+// -log(det(J J^T)) / 2 over the rows of the task. With G = (J J^T)^-1 J and the twist c_j = rows of
+// the task times G_j:
 //   d/dq_i = -sum over j of c_j . dJ_j/dq_i,  dJ_j/dq_i = [w_i x v_j; w_i x w_j] (i <= j) or [w_j x
 //   v_i; 0] (i > j),
 // plus the derivative of the rows themselves if they rotate with the tool.
@@ -73,7 +72,7 @@ inline double manipulability_objective(
   if (!factor(A[0], M)) return std::numeric_limits<double>::infinity();
   for (int a = 0; a < M; ++a) value += 0.5 * std::log(A[a][a]);
 
-  // c_j, and the contribution of the rows across the axis
+  // c_j, and the contribution of the rows normal to the axis
   Vec3<double> pull[max_joints], twist[max_joints], row_pull = zero;
   for (int j = 0; j < n; ++j) {
     double G[M];
@@ -98,7 +97,7 @@ inline double manipulability_objective(
   return value;
 }
 
-// sharpness: of the objective "limits".
+// sharpness: for the objective "limits".
 template <int M>
 inline double objective(const Chain &chain, const Goal &goal, double weight,
     const Objective &wanted, double sharpness, const Iterate<M> &at, double *gradient) {
@@ -110,10 +109,10 @@ inline double objective(const Chain &chain, const Goal &goal, double weight,
 }
 
 constexpr int most_null_steps = 100;
-constexpr double least_slope = 1e-10;                    // where the descent ends
-constexpr double longest_step = 0.3;                     // of a joint
-constexpr double difference = 1e-6;                      // of joints, for second derivatives
-constexpr double sharpnesses[] = {30.0, 300.0, 1000.0};  // of "limits", one after the other
+constexpr double least_slope = 1e-10;                    // slope at which the descent ends
+constexpr double longest_step = 0.3;                     // longest step of a joint [rad or m]
+constexpr double difference = 1e-6;                      // joint step for second derivatives
+constexpr double sharpnesses[] = {30.0, 300.0, 1000.0};  // successive values for "limits"
 
 template <int M>
 class SelfMotion {
@@ -122,7 +121,7 @@ class SelfMotion {
       const Chain &chain, const Goal &goal, const Search &search, double weight, const Box &box)
       : chain_(chain), goal_(goal), search_(search), weight_(weight), box_(box), n_(chain.n) {}
 
-  // Moves `at`, which is at the goal. Returns the remaining slope along the free self-motion.
+  // Moves `at` from a solution. Returns the remaining slope along the free self-motion.
   double descend(Iterate<M> &at) {
     trial_ = at;
     if (restore(box_)) at = trial_;
@@ -154,7 +153,7 @@ class SelfMotion {
     return objective(chain_, goal_, weight_, search_.objective, sharpness_, at, gradient);
   }
 
-  // The null space of the joints free to descend: joints at their limits are fixed.
+  // Finds the null space of the free joints; blocked joints at limits are fixed.
   void find_null_space(const Iterate<M> &at) {
     double uphill[max_joints];
     do {
@@ -164,7 +163,7 @@ class SelfMotion {
     } while (fix_blocked(at));
   }
 
-  // Fixes the joints at limits that step_ pushes against; false without any.
+  // Fixes the joints at limits that step_ pushes against; false if there are none.
   bool fix_blocked(const Iterate<M> &at) {
     bool any = false;
     for (int i = 0; i < n_; ++i)
@@ -173,8 +172,8 @@ class SelfMotion {
     return any;
   }
 
-  // step_: the Newton step, also fixing the joints that it pushes against a limit; if none is
-  // free, steepest descent.
+  // Sets step_ to the Newton step, and fixes joints that it pushes against a limit. If no joint is
+  // left free, uses steepest descent.
   void find_direction(const Iterate<M> &at) {
     bool fixed[max_joints];
     double z[max_joints];
@@ -190,7 +189,8 @@ class SelfMotion {
     go_along(z);
   }
 
-  // The Hessian of objective - mu^T task in the null space, by differences of its gradient.
+  // Newton step with the Hessian of objective - mu^T task in the null space, from differences of
+  // its gradient.
   void find_newton_step(const Iterate<M> &at, double *z) {
     double H[max_joints][max_joints], other[max_joints], change[max_joints];
     const int size = space_.size;
@@ -217,7 +217,7 @@ class SelfMotion {
     go_along(z);
   }
 
-  // step_ = N z, shortened to `longest_step`; fall_ is the predicted decrease.
+  // Sets step_ = N z, shortened to `longest_step`, and fall_, the predicted decrease.
   void go_along(const double *z) {
     space_.expand(n_, z, step_);
     double longest = longest_step;
@@ -228,8 +228,8 @@ class SelfMotion {
       fall_ -= longest_step / longest * z[k] * space_.reduced[k];
   }
 
-  // Moves along step_ as far as limits and objective allow, and back to the goal; false without
-  // improvement.
+  // Moves along step_ as far as limits and objective allow, and back to the goal. False if the
+  // objective does not improve.
   bool advance(Iterate<M> &at, double value) {
     double part = 1.0, there[max_joints], unused[max_joints];
     for (int i = 0; i < n_; ++i)
@@ -237,7 +237,7 @@ class SelfMotion {
         part = std::min(part, (end(i) - at.q[i]) / step_[i]);
     const double rounding = 1e-13 * std::max(1.0, std::fabs(value));
     for (const double shortest = 1e-6 * part; part > shortest; part *= 0.5) {
-      Box kept = box_;  // joints at a limit stay there on the way back, if they can
+      Box kept = box_;  // joints at a limit stay there on the way back, if possible
       for (int i = 0; i < n_; ++i) {
         const double moved = part * step_[i];
         const bool arrives =
@@ -259,7 +259,7 @@ class SelfMotion {
   }
   double end(int i) const { return step_[i] > 0.0 ? box_.high[i] : box_.low[i]; }
 
-  // Brings trial_ back to the goal; false on failure.
+  // Returns trial_ to the goal; false on failure.
   bool restore(const Box &box) {
     evaluate(chain_, goal_, weight_, trial_);
     for (int k = 0; k < 8 && trial_.square > 1e-30; ++k) {

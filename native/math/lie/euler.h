@@ -1,18 +1,18 @@
-// Three angles about three axes. Exact values: tests/numerics/tables/groups.json.
+// Euler angles about any three axes. Exact values: tests/numerics/tables/groups.json.
 #pragma once
 
 #include "math/lie/lie.h"
 
 namespace armlab {
 
-// The axes by number, R = R_first(r) R_middle(p) R_last(y); neighbours differ.
+// The axes by index, R = R_first(r) R_middle(p) R_last(y); neighbours differ.
 struct Axes {
   int first, middle, last;
 };
 
-constexpr double gimbal_lock = 1e-13;  // below, the first and last axes are parallel
+constexpr double gimbal_lock = 1e-13;  // below it, the first and last axes count as parallel
 
-// atan2(y, x), with atan2(0, 0) = 0; a rotation by pi is +pi whatever the sign of zero.
+// atan2(y, x), with atan2(0, 0) = 0; a rotation by pi is +pi for either sign of zero.
 template <class Real>
 inline Real angle_of(const Real &y, const Real &x) {
   constexpr Real pi(0x1.921fb54442d18p1);
@@ -23,7 +23,7 @@ inline Real angle_of(const Real &y, const Real &x) {
   return select(y < zero, -size, size);
 }
 
-// m <- m times the rotation about an axis.
+// m <- m R, with R the rotation about an axis.
 template <class Real>
 inline void turn_on(Real *m, int axis, const Real &angle) {
   const int j = (axis + 1) % 3, k = (axis + 2) % 3;
@@ -49,7 +49,7 @@ inline void angles_from_matrix(const Real *m, const Axes &axes, Real *rpy) {
   const int i = axes.first, j = axes.middle, k = 3 - i - j;
   const bool proper = axes.last == i;
   const Real e((j - i + 3) % 3 == 1 ? 1.0 : -1.0);  // e_i x e_j = e e_k
-  // The last axis after the first two rotations.
+  // The last axis, as rotated by the first two rotations.
   const Real sine = proper ? m[3 * j + i] : -e * m[3 * j + k];
   const Real cosine = proper ? -e * m[3 * k + i] : m[3 * k + k];
   const Real length = square_root(sine * sine + cosine * cosine);

@@ -1,19 +1,20 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
-// Exact values: tests/numerics/tables/groups.json. Both sides of every `select` are computed, and
-// the unselected one may be NaN; so batches and single calls give the same bits. No arc cosine.
+// Exact values: tests/numerics/tables/groups.json. Both branches of every `select` are computed,
+// and the unselected one may be NaN. Batches and single calls are therefore bit-identical. There is
+// no arc cosine.
 #pragma once
 
 #include "math/lie/vec3.h"
 
 namespace armlab {
 
-// R_a_b by columns: the axes of b in a. Of a pose: Rotation<Real>{T.x, T.y, T.z}.
+// R_a_b by columns: the axes of b in a. For a pose: Rotation<Real>{T.x, T.y, T.z}.
 template <class Real>
 struct Rotation {
   Vec3<Real> x, y, z;
 
-  // Row by row, with `stride` numbers from one row to the next.
+  // Reads the matrix row by row, with `stride` numbers between the starts of rows.
   static Rotation read(const Real *m, int stride) {
     return {Vec3<Real>::read(m, stride), Vec3<Real>::read(m + 1, stride),
         Vec3<Real>::read(m + 2, stride)};
@@ -40,7 +41,7 @@ struct Quaternion {
   Vec3<Real> v;
 };
 
-// Where a square over- or underflows, the length from the C library instead.
+// Length from the C library, for when a square overflows or underflows.
 inline double exact_norm(const Vec3<double> &a, double) { return std::hypot(a.x, a.y, a.z); }
 #ifdef ARMLAB_LANES
 inline Lanes exact_norm(const Vec3<Lanes> &a, Lanes length) {
@@ -75,9 +76,9 @@ inline Real ratio(const Real &y, const Real &x, double at_zero) {
   return select(zero, Real(at_zero), y / select(zero, Real(1.0), x));
 }
 
-// atan2(y, x) of two non-negative numbers, not both zero; error below 4e-16 of the result. The
-// smaller over the larger is at most 1; beyond tan(pi/8), pi/4 is split off. The polynomial on the
-// remainder (Chebyshev points) has an error below 8e-18.
+// atan2(y, x) of two non-negative numbers, not both zero, with a relative error below 4e-16. The
+// argument smaller / larger is at most 1; beyond tan(pi/8), pi/4 is split off. The polynomial
+// for the remainder (Chebyshev points) has an error below 8e-18.
 template <class Real>
 inline Real quadrant_angle(const Real &y, const Real &x) {
   constexpr Real tan_pi_8(0x1.a827999fcef32p-2);
@@ -99,9 +100,9 @@ inline Real quadrant_angle(const Real &y, const Real &x) {
   return select(steep, Real(2.0) * pi_4 + (Real(2.0) * pi_4_low - flat), flat);
 }
 
-// The unit quaternion of a rotation, w >= 0; at w = 0 the first component that is not zero is
-// positive. 4 q q^T is linear in R; its row with the largest diagonal, normalised, is q, so no
-// small number is divided by (Shepperd 1978).
+// The unit quaternion of a rotation with w >= 0; if w = 0, the first nonzero component is positive.
+// 4 q q^T is linear in R. Its row with the largest diagonal entry, normalised, is q, which avoids
+// division by small numbers (Shepperd 1978).
 template <class Real>
 inline Quaternion<Real> quaternion_from(const Rotation<Real> &R) {
   const Real one(1.0), zero(0.0);
@@ -129,7 +130,7 @@ inline Quaternion<Real> quaternion_from(const Rotation<Real> &R) {
   return {q.w * scale, scale * q.v};
 }
 
-// The rotation of a quaternion q, with twice the inverse of q.q.
+// The rotation of a quaternion q; the second argument is 2 / q.q.
 template <class Real>
 inline Rotation<Real> rotation_from(const Quaternion<Real> &q, const Real &twice_inverse) {
   const Real one(1.0);
@@ -172,7 +173,7 @@ inline Real so3_angle(const Rotation<Real> &R) {
   return Real(2.0) * quadrant_angle(norm(q.v), q.w);
 }
 
-// Interpolation from a to b along the shorter arc at constant speed, unit quaternions.
+// Interpolates unit quaternions from a to b along the shorter arc at constant speed.
 template <class Real>
 inline Quaternion<Real> slerp(const Quaternion<Real> &a, const Quaternion<Real> &b, const Real &s) {
   const Real one(1.0), zero(0.0);
@@ -200,13 +201,13 @@ inline Rotation<Real> polynomial(const Vec3<Real> &w, const Real &a, const Real 
       {xz + aw.y, yz - aw.x, one - (xx + yy)}};
 }
 
-// Common terms of exponential and Jacobians, for the angle theta = |w|.
+// Common terms of exponential and Jacobians for the angle theta = |w|.
 template <class Real>
 struct Angle {
   Real theta, sine, cosine, k;  // sine and cosine of theta / 2; k = sine / theta
 
   explicit Angle(const Vec3<Real> &w) : theta(norm(w)) {
-    const Real half = Real(0.5) * theta;  // may be 0 where theta is not
+    const Real half = Real(0.5) * theta;  // may underflow to 0
     sincos(half, sine, cosine);
     k = Real(0.5) * ratio(sine, half, 1.0);
   }
@@ -214,8 +215,8 @@ struct Angle {
 };
 
 // The rotation about w by |w|: I + sin(t)/t hat(w) + (1 - cos(t))/t^2 hat(w)^2.
-// Through the quaternion, whose length is 1 but for rounding; with the first order of that (2 / n =
-// 4 - 2 n near n = 1) the result is as orthonormal as can be.
+// It is computed from the quaternion, whose length is 1 except for rounding. A first-order
+// correction (2 / n = 4 - 2 n near n = 1) makes the result orthonormal to machine precision.
 template <class Real>
 inline Rotation<Real> rotation_about(const Vec3<Real> &w, const Angle<Real> &t) {
   const Quaternion<Real> q{t.cosine, t.k * w};

@@ -9,7 +9,7 @@
 
 namespace armlab {
 
-// rad: above, closed forms keep all digits; below, eight terms reach 1e-18
+// rad: closed forms above it lose no digits; eight terms below it reach 1e-18
 constexpr double series_below = 0.5;
 
 struct Coefficients {
@@ -18,7 +18,7 @@ struct Coefficients {
 
 constexpr double factorial(int n) { return n < 2 ? 1.0 : n * factorial(n - 1); }
 
-// Coefficient k of t^2k: (t - sin t)/t^3 with m = 3, (1 - cos t)/t^2 with m = 2.
+// Coefficient of t^2k: of (t - sin t)/t^3 for m = 3, of (1 - cos t)/t^2 for m = 2.
 constexpr double alternating(int k, int m) { return (k % 2 ? -1.0 : 1.0) / factorial(2 * k + m); }
 
 constexpr double cotangent(int k) {  // (1 - t/2 cot(t/2)) / t^2: |B_2k+2| / (2k + 2)!
@@ -27,7 +27,7 @@ constexpr double cotangent(int k) {  // (1 - t/2 cot(t/2)) / t^2: |B_2k+2| / (2k
   return bernoulli[k] / factorial(2 * k + 2);
 }
 
-// The series itself, or its derivative by t.
+// The series, or its derivative with respect to t.
 constexpr Coefficients series(int kind, bool derivative) {
   Coefficients s{};
   for (int k = 0; k < 8; ++k) {
@@ -44,7 +44,7 @@ inline Real evaluate(const Coefficients &s, const Real &x) {
   return total;
 }
 
-// a, b and their derivatives over theta, of a matrix I + a hat(w) + b hat(w)^2.
+// a, b and their derivatives divided by theta, for a matrix I + a hat(w) + b hat(w)^2.
 template <class Real>
 struct Polynomial {
   Real a, b, a1, b1;
@@ -59,7 +59,7 @@ inline Real cubic(const Angle<Real> &t) {
       (t.theta - Real(2.0) * t.sine * t.cosine) / (x * t.theta));
 }
 
-// (1 - h cot h) / t^2 with h = t/2, of h cot h.
+// (1 - h cot h) / t^2 with h = t/2, from h cot h.
 template <class Real>
 inline Real square(const Real &theta, const Real &h_cot_h) {
   constexpr Coefficients near_zero = series(0, false);
@@ -100,9 +100,9 @@ template <class Real>
 inline Rotation<Real> derivative(
     const Vec3<Real> &w, const Vec3<Real> &v, const Polynomial<Real> &f) {
   const Real along = dot(w, v), two(2.0);
-  const Vec3<Real> s = f.a * v + (along * f.a1) * w;               // the skew part
-  const Vec3<Real> u = f.b * v + (Real(0.5) * along * f.b1) * w;   // w u^T + u w^T, symmetric,
-  const Real less = two * along * f.b + along * f.b1 * dot(w, w);  // less this times I
+  const Vec3<Real> s = f.a * v + (along * f.a1) * w;               // skew-symmetric part
+  const Vec3<Real> u = f.b * v + (Real(0.5) * along * f.b1) * w;   // symmetric part w u^T + u w^T
+  const Real less = two * along * f.b + along * f.b1 * dot(w, w);  // minus this times I
   const Real xy = w.x * u.y + u.x * w.y, xz = w.x * u.z + u.x * w.z, yz = w.y * u.z + u.y * w.z;
   return {{two * w.x * u.x - less, xy + s.z, xz - s.y},
       {xy - s.z, two * w.y * u.y - less, yz + s.x}, {xz + s.y, yz - s.x, two * w.z * u.z - less}};
@@ -144,14 +144,14 @@ inline Pose<Real> pose_inverse(const Pose<Real> &T) {
   return {R.x, R.y, R.z, Real(-1.0) * T.turn_back(T.p)};
 }
 
-// Selection by a condition, number by number.
+// Elementwise selection by a condition.
 template <class Condition, class Real>
 inline Vec3<Real> select(const Condition &condition, const Vec3<Real> &yes, const Vec3<Real> &no) {
   return {select(condition, yes.x, no.x), select(condition, yes.y, no.y),
       select(condition, yes.z, no.z)};
 }
 
-// R_a exp(s log(R_a^T R_b)), starting at the nearer end, which is then exact.
+// R_a exp(s log(R_a^T R_b)), evaluated from the nearer end, which is then exact.
 template <class Real>
 inline Rotation<Real> so3_interpolate(
     const Rotation<Real> &a, const Rotation<Real> &b, const Real &s) {
@@ -162,7 +162,7 @@ inline Rotation<Real> so3_interpolate(
   return nearer * so3_exp(select(late, s - Real(1.0), s) * w);
 }
 
-// The same of poses, along a screw; otherwise the position along a line and the rotation as above.
+// Interpolates poses along a screw, or else the position along a line and the rotation as above.
 template <class Real>
 inline Pose<Real> se3_interpolate(
     const Pose<Real> &a, const Pose<Real> &b, const Real &s, bool screw) {

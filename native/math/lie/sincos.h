@@ -1,4 +1,4 @@
-// Sine and cosine over Real (double or Lanes), bit for bit the same in both.
+// Sine and cosine over Real (double or Lanes), bit-identical in both.
 #pragma once
 
 #include "array/lanes.h"
@@ -24,12 +24,12 @@ inline void replace_far(const Lanes &x, Lanes &sine, Lanes &cosine) {
 }
 #endif
 
-// Sine and cosine of |x| <= far_angle in three steps, error below 2.5e-16; NaN and infinity give
-// NaN. Process several angles through each step together: instruction-level parallelism saves a
-// third of the time.
+// Sine and cosine for |x| <= far_angle in three steps, with an error below 2.5e-16; NaN and
+// infinity give NaN. Process several angles through each step together: instruction-level
+// parallelism saves a third of the time.
 //
-// First x = k pi/2 + r with pi/2 in two parts, one of 33 bits, so that k times it is exact for |k|
-// < 2^20, and one whose error is 4e-27. `quadrant` holds k in its low bits.
+// Step 1: x = k pi/2 + r with pi/2 in two parts. The first has 33 bits, so k times it is exact for
+// |k| < 2^20; the second has an error of 4e-27. `quadrant` holds k in its low bits.
 template <class Real>
 inline void reduce_angle(const Real &x, Real &quadrant, Real &r) {
   constexpr Real two_over_pi(0x1.45f306dc9c883p-1), half_pi_1(0x1.921fb54400000p0),
@@ -40,7 +40,7 @@ inline void reduce_angle(const Real &x, Real &quadrant, Real &r) {
   r = (x - k * half_pi_1) - k * half_pi_2;
 }
 
-// Then polynomials on |r| <= pi/4 whose largest error is least (Remez): 2e-18 and 5e-20.
+// Step 2: minimax (Remez) polynomials on |r| <= pi/4, with errors of 2e-18 and 5e-20.
 template <class Real>
 inline void sincos_of_remainder(const Real &r, Real &sine, Real &cosine) {
   constexpr Real s3(-0x1.555555555553dp-3), s5(0x1.111111110eb1fp-7), s7(-0x1.a01a019ab4acep-13);
@@ -54,8 +54,8 @@ inline void sincos_of_remainder(const Real &r, Real &sine, Real &cosine) {
   cosine = (one + c2 * r2) + r4 * ((c4 + c6 * r2) + r4 * ((c8 + c10 * r2) + r4 * (c12 + c14 * r2)));
 }
 
-// Finally the quadrant: an odd one swaps the two; the second bit of k is the sign of the sine, and
-// the cosine is negative where it differs from the first.
+// Step 3: the quadrant. An odd quadrant swaps the two values. The second bit of k is the sign of
+// the sine; the cosine is negative if the two lowest bits differ.
 template <class Real>
 inline void turn_to_quadrant(const Real &quadrant, Real &sine, Real &cosine) {
   const auto bits = to_bits(quadrant);
@@ -65,7 +65,7 @@ inline void turn_to_quadrant(const Real &quadrant, Real &sine, Real &cosine) {
   cosine = from_bits(to_bits(select(is_negative(swap), s, c)) ^ (sign ^ swap));
 }
 
-// Raises `farthest` to |x|, except for NaN, whose sine and cosine are NaN already.
+// Raises `farthest` to |x|, except for NaN, whose sine and cosine are already NaN.
 template <class Real>
 inline void note_distance(const Real &x, Real &farthest) {
   const Real distance = from_bits(to_bits(x) & 0x7fffffffffffffff);

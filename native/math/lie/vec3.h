@@ -9,7 +9,7 @@ template <class Real>
 struct Vec3 {
   Real x, y, z;
 
-  // Its three numbers in memory, `stride` apart.
+  // Reads three numbers that are `stride` apart in memory.
   static Vec3 read(const Real *m, int stride = 1) { return {m[0], m[stride], m[2 * stride]}; }
   void write(Real *m, int stride = 1) const {
     m[0] = x;
@@ -43,7 +43,7 @@ inline Vec3<Real> cross(const Vec3<Real> &a, const Vec3<Real> &b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-// T_a_b by columns: the axes and the origin of frame b, in frame a.
+// T_a_b by columns: the axes and the origin of frame b in frame a.
 template <class Real>
 struct Pose {
   Vec3<Real> x, y, z, p;

@@ -1,16 +1,17 @@
-// Limits on one reference before it is sent to a robot. Specification: tests/oracles/limits.py.
+// Limits applied to one reference before it is sent to a robot. Specification:
+// tests/oracles/limits.py.
 #include "array/arrays.h"
 
 namespace armlab::python {
 namespace {
 
 constexpr std::uint8_t position_bit = 1, velocity_bit = 2, acceleration_bit = 4, braking_bit = 8;
-constexpr double slack = 1e-9;  // relative: rounding is not a clamp
+constexpr double slack = 1e-9;  // relative tolerance, because rounding is not a clamp
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr int max_axes = 64;
 
-// The largest velocity v of a step T after which an arm with delay `lag` can still stop within
-// `distance`, for all later steps: v T + v lag + v^2 / (2 a) = distance.
+// The largest velocity v in a step T after which an arm with delay `lag` can still stop within
+// `distance` at all later steps: v T + v lag + v^2 / (2 a) = distance.
 double brakeable(double distance, double a, double T, double lag) {
   const double d = std::max(distance, 0.0), late = T + lag;
   if (std::isinf(d)) return infinity;
@@ -21,10 +22,10 @@ double brakeable(double distance, double a, double T, double lag) {
 
 struct Joint {
   double q, q_min, q_max, fastest, a;
-  double low, high;  // velocities from which it can stop before its limits
+  double low, high;  // velocities that still allow a stop before the limits
 };
 
-// Scales the velocities by one ratio if they are too large. Returns the ratio.
+// Scales all velocities by one ratio if any is too large. Returns the ratio.
 double scale(int n, const Joint *joints, double *wanted, std::uint8_t *bits) {
   double worst = 0.0, ratio = 1.0;
   for (int i = 0; i < n; ++i) worst = std::max(worst, std::fabs(wanted[i]) / joints[i].fastest);
@@ -55,7 +56,7 @@ void keep_within(
   }
 }
 
-// 0, or i (from 1) when joint i is not finite, or -i when it jumps.
+// 0 if valid, i (from 1) if joint i is not finite, or -i if it jumps.
 int refusal(int n, const Joint *joints, const double *jump, double T, const double *q_ref,
     const double *q_last, const double *qd_ref) {
   for (int i = 0; i < n; ++i) {
@@ -67,7 +68,7 @@ int refusal(int n, const Joint *joints, const double *jump, double T, const doub
   return 0;
 }
 
-// A vector argument: its numbers, or null for None.
+// An optional vector argument: its numbers, or null for None.
 struct Optional {
   Optional(nb::handle value, const char *name, int n)
       : input(value.is_none() ? nb::handle(empty()) : value, name) {
@@ -91,7 +92,7 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   bounds.require_exactly({5, count});
   if (count > max_axes || !(T > 0.0) || !(lag >= 0.0))
     raise_shape_error("Expected at most " + std::to_string(max_axes) +
-                      " joints, a positive period and no negative lag, " + "got " +
+                      " joints, a positive period and a non-negative lag, " + "got " +
                       std::to_string(count) + ", " + std::to_string(T) + " s and " +
                       std::to_string(lag) + " s.");
   const int n = static_cast<int>(count);
@@ -131,7 +132,7 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   const double ratio = scale(n, joints, v, bits);
   keep_within(n, joints, T, sent.data() + n, v, bits);
   for (int i = 0; i < n;
-      ++i) {  // a speed given beside a position agrees with it to within one step of acceleration
+      ++i) {  // a speed given with a position must match it within one step of acceleration
     const double apart = joints[i].a * T;
     f[i] = q_ref && qd_ref ? std::min(std::max(qd_ref[i], v[i] - apart), v[i] + apart) : v[i];
   }
@@ -160,7 +161,7 @@ int largest(int n, const Values &values) {
   return found;
 }
 
-// i (from 1) when joint i is outside its range, or -i when it moved too far, or 0.
+// i (from 1) if joint i is outside its range, -i if it moved too far, otherwise 0.
 int implausible(nb::handle q_, nb::handle before_, nb::handle bounds_, double margin, double step,
     double seconds) {
   const Input given(q_, "q"), bounds(bounds_, "bounds");

@@ -9,23 +9,23 @@ namespace armlab {
 namespace {
 
 constexpr double pi = 3.141592653589793;
-constexpr double steering = 12.0, turn = 20.0 / pi;  // 1/s per rad; 1/rad: Hoffmann et al. 2009
+constexpr double steering = 12.0, turn = 20.0 / pi;  // 1/s per rad; 1/rad (Hoffmann et al. 2009)
 constexpr double pushing = 0.15;                     // m^2/s
-constexpr double slowest = 15.0, fastest = 200.0;    // 1/s: rates of the guard
-constexpr double slide = 0.3;                        // of the guard, along the surface
+constexpr double slowest = 15.0, fastest = 200.0;    // 1/s: rates of the clearance guard
+constexpr double slide = 0.3;                        // share of the guard along the surface
 constexpr double still = 1e-9;                       // m/s
 constexpr double straight = 1e-9;                    // sine of an angle
-constexpr double apart = 1e-3;                       // m: a way that leads anywhere
+constexpr double apart = 1e-3;                       // m: shortest usable way along a surface
 constexpr double parallel =
-    1e-24;                        // squared sine: what rounding makes of parallel axes is below it
-constexpr double damping = 0.02;  // m/rad: of directions in which an arm hardly moves
-constexpr int sweeps = 8;         // of the guard over all that is near
+    1e-24;                        // squared sine below which axes are parallel except for rounding
+constexpr double damping = 0.02;  // m/rad: damping in directions in which an arm hardly moves
+constexpr int sweeps = 8;         // passes of the guard over all contacts
 
 double length(const Point &a) { return std::sqrt(dot(a, a)); }
 double clamped(double x, double low, double high) { return std::min(std::max(x, low), high); }
 Point point_of(const double *y, int axes) { return {y[0], y[1], axes == 3 ? y[2] : 0.0}; }
 
-// A unit vector perpendicular to another, deterministic.
+// A unit vector perpendicular to v, chosen deterministically.
 Point across(const Point &v, int axes) {
   const double size[3] = {std::fabs(v.x), std::fabs(v.y), std::fabs(v.z)};
   const int i = static_cast<int>(std::min_element(size, size + axes) - size);
@@ -41,7 +41,7 @@ std::pair<double, double> shares(const Capsule &one, const Capsule &two) {
   const double a = dot(d1, d1), e = dot(d2, d2), c = dot(d1, r), f = dot(d2, r);
   if (a == 0.0) return {0.0, e == 0.0 ? 0.0 : clamped(f / e, 0.0, 1.0)};
   if (e == 0.0) return {clamped(-c / a, 0.0, 1.0), 0.0};
-  const Point normal = cross(d1, d2);  // its square is a e - b^2, but with digits next to parallel
+  const Point normal = cross(d1, d2);  // square: a e - b^2, but accurate near parallel
   const double b = dot(d1, d2), square = dot(normal, normal);
   const double s =
       square > parallel * a * e ? clamped(dot(normal, cross(d2, r)) / square, 0.0, 1.0) : 0.0;
@@ -134,7 +134,7 @@ double Obstacles::distance(const double *y) {
 
 bool Obstacles::acts(const double *y) { return distance(y) < rule_.reach; }
 
-// Pairs within reach; the bodies are at the positions of `distance`.
+// Finds the pairs within reach; the bodies are at the positions set by `distance`.
 void Obstacles::find(const double *yd) {
   contacts_.clear();
   if (arm_) move(yd);
@@ -154,7 +154,7 @@ void Obstacles::find(const double *yd) {
     }
 }
 
-// j = e^T J of the contact point; returns its square with damping.
+// Computes j = e^T J of the contact point; returns its damped square.
 double Obstacles::row(const Contact &contact, const Point &e, double *j) const {
   if (!arm_) {
     j[0] = e.x;
@@ -183,11 +183,11 @@ Point Obstacles::steer(const Contact &c) const {
   const double u = clamped((rule_.reach - c.distance) / (rule_.reach - rule_.clearance), 0.0, 1.0);
   const double weight = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
   const double cosine = clamped(-dot(c.away, c.velocity) / speed, -1.0, 1.0);
-  Point side = c.away + (cosine / speed) * c.velocity;  // away, across the velocity
+  Point side = c.away + (cosine / speed) * c.velocity;  // `away` normal to the velocity
   const double sine = length(side);
   side = sine > straight ? (1.0 / sine) * side : across(c.velocity, axes_);
   if (rule_.form == Form::steering) {
-    const double theta = std::atan2(sine, cosine);  // the cosine has no digits of a small angle
+    const double theta = std::atan2(sine, cosine);  // the arc cosine is inaccurate at small angles
     return (weight * steering * theta * std::exp(-turn * theta) * speed) * side;
   }
   if (cosine <= 0.0) return {0.0, 0.0, 0.0};
@@ -196,7 +196,7 @@ Point Obstacles::steer(const Contact &c) const {
   return (weight * pushing * cosine * speed / (near * near)) * force;
 }
 
-// The missing acceleration away from an obstacle to keep the clearance.
+// The additional acceleration away from an obstacle that keeps the clearance.
 double Obstacles::missing(const Contact &c, const double *ydd) {
   const double h = c.distance - rule_.clearance, rate = dot(c.away, c.velocity);
   const double k = h > 0.0 && -rate > slowest * h ? std::min(-rate / h, fastest) : slowest;
@@ -206,12 +206,12 @@ double Obstacles::missing(const Contact &c, const double *ydd) {
   return -2.0 * k * rate - k * k * h - a;
 }
 
-// A unit vector along the surface: to the nearer end of the obstacle, or to the goal.
+// A unit vector along the surface, towards the nearer end of the obstacle or the goal.
 Point Obstacles::along(const Contact &c, const double *g) {
   if (!knows_goal_ && arm_) locate(g, at_goal_);
   knows_goal_ = true;
   Point goal = arm_ ? Point{} : point_of(g, axes_);
-  if (arm_) {  // where the same point of the body is at the goal
+  if (arm_) {  // position of the same point of the body at the goal
     const Pose<double> &now = frames_[c.link - 1], &then = at_goal_[c.link - 1];
     goal = then.p + then.turn(now.turn_back(c.p - now.p));
   }

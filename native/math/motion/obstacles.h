@@ -1,4 +1,4 @@
-// Obstacle avoidance of a motion. Specification: docs/theory/obstacles.md.
+// Obstacle avoidance during a motion. Specification: docs/theory/obstacles.md.
 #pragma once
 
 #include <optional>
@@ -19,7 +19,7 @@ struct Capsule {
 class Obstacles : public Coupling {
  public:
   enum class Form { steering, potential };
-  // On link 1 ... n of the arm, in the axes of the link; in space: link 0, a point.
+  // On link 1 ... n of the arm, in the axes of the link. Without an arm: link 0, a point.
   struct Body {
     int link;
     Capsule shape;
@@ -29,11 +29,11 @@ class Obstacles : public Coupling {
     Form form;
   };
 
-  Obstacles(int n, Rule rule);  // coordinates are a point in the plane or in space
+  Obstacles(int n, Rule rule);  // coordinates: a point in the plane or in space
   Obstacles(const Chain &arm, std::vector<Body> bodies, Rule rule);
 
   void place(std::vector<Capsule> capsules);
-  double distance(const double *y);  // least, of any surface; infinite without obstacles
+  double distance(const double *y);  // least distance of surfaces; infinite without obstacles
 
   bool acts(const double *y) override;
   void add(const double *y, const double *yd, const double *g, double *ydd) override;
@@ -49,7 +49,7 @@ class Obstacles : public Coupling {
     double distance;
     Point p, away, velocity, drift;
   };
-  struct Motion {  // of a link frame: of its origin and of its axes, where no joint accelerates
+  struct Motion {  // link frame's origin and axes, without joint accelerations
     Point v, w, a, turn;
   };
 
@@ -63,7 +63,7 @@ class Obstacles : public Coupling {
   double missing(const Contact &contact, const double *ydd);
   Point along(const Contact &contact, const double *g);
 
-  int n_, axes_;  // coordinates; axes of the space
+  int n_, axes_;  // coordinates; dimensions of space
   Rule rule_;
   std::optional<Chain> arm_;
   std::vector<Body> bodies_;

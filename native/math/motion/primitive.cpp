@@ -4,9 +4,10 @@
 namespace armlab {
 namespace {
 
-// exp(x) for -700 < x <= 0 with an error below 1.5 units in the last place; NaN gives NaN. x = k ln
-// 2 + r with ln 2 in two parts, the first of 32 bits, so that k times it is exact; then the series
-// of exp(r), |r| <= ln(2) / 2, the rest below 5e-18; then k is added.
+// exp(x) for -700 < x <= 0 with an error below 1.5 units in the last place; NaN gives NaN. First,
+// x = k ln 2 + r with ln 2 in two parts; the first has 32 bits, so k times it is exact. Then the
+// series of exp(r) for |r| <= ln(2) / 2, with a remainder below 5e-18. Finally, k is added to the
+// exponent.
 ARMLAB_INLINE double exponential(double x) {
   constexpr double shifter = 0x1.8p52, one_over_ln2 = 0x1.71547652b82fep0;
   constexpr double ln2_1 = 0x1.62e42fee00000p-1, ln2_2 = 0x1.a39ef35793c76p-33;
@@ -20,8 +21,8 @@ ARMLAB_INLINE double exponential(double x) {
   return from_bits(to_bits(e) + (to_bits(shifted) << 52));
 }
 
-constexpr double faded = 40.0;      // exponents further below the largest are dropped: 4e-18
-constexpr double gate_width = 0.1;  // of the duration, over which the forcing of a time phase fades
+constexpr double faded = 40.0;      // exponents this far below the largest are dropped: 4e-18
+constexpr double gate_width = 0.1;  // share of the duration over which time-phase forcing fades
 
 }  // namespace
 
@@ -42,7 +43,7 @@ int Primitive::kernels(double x, double factor, int *index, double *psi) const {
         phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
     psi[j] = -off * off * curvatures[j];
   }
-  double tops[4];  // four at once: a maximum waits for the one before
+  double tops[4];  // four at once, because each maximum waits for the previous one
   std::fill_n(tops, 4, psi[0]);
   int next = 0;
   for (; next + 4 <= m; next += 4)
@@ -92,9 +93,9 @@ void Primitive::forcing_each(const double *x, int *index, double *psi, double *f
 
 namespace {
 
-constexpr std::ptrdiff_t together = 32;  // runs side by side: their states stay in the first caches
+constexpr std::ptrdiff_t together = 32;  // runs per group: their states fit in the L1 cache
 
-// position, velocity, acceleration and forcing of a state
+// Writes position, velocity, acceleration and forcing of a state.
 inline void write(std::ptrdiff_t count, const double *y, const double *z, const double *g,
     const double *f, double stiffness, double alpha, double rate, double *__restrict Y,
     double *__restrict V, double *__restrict A, double *__restrict F) {
@@ -106,7 +107,7 @@ inline void write(std::ptrdiff_t count, const double *y, const double *z, const 
   }
 }
 
-// to (n) = scale * sum psi w over the active kernels; n is fixed at compile time if not 0
+// to (n) = scale * sum psi w over the active kernels; n_known > 0 fixes n at compile time
 template <int n_known>
 inline void weigh(int n_given, int count, const int *index, const double *psi,
     const double *weights, const double *scale, double *to) {
@@ -131,11 +132,11 @@ inline void weigh_any(int n, int count, const int *index, const double *psi, con
   weigh<0>(n, count, index, psi, w, s, to);
 }
 
-// Shared by all runs over one clock: steps, and the forcing at starts and middles of them.
+// Data shared by all runs on one clock: steps, and the forcing at their starts and midpoints.
 struct Course {
   std::vector<SpringStep> steps;
-  std::vector<double> forces;  // (2 N - 1, n) of the primitive's own weights
-  std::vector<double> psi;     // (2 N - 1, m) kernels, for runs with weights of their own: `counts`
+  std::vector<double> forces;  // (2 N - 1, n) for the weights of the primitive
+  std::vector<double> psi;     // (2 N - 1, m) kernels, for runs with individual weights: `counts`
   std::vector<int> index, counts;
 };
 
@@ -277,7 +278,7 @@ ARMLAB_VECTORISED void response(const Primitive &p, std::ptrdiff_t N, const doub
 
 namespace {
 
-constexpr double coupled_step = 0.35;  // time constants of the spring in a step with a coupling
+constexpr double coupled_step = 0.35;  // step with a coupling, in time constants of the spring
 
 }  // namespace
 
@@ -335,7 +336,7 @@ void PrimitiveStepper::step_spring(double r) {
   force(s_ += r, nullptr, f1_.data());
   if (!moving_) {
     spring_.advance(n, f0_.data(), fm_.data(), f1_.data(), g_.data(), y_.data(), z_.data());
-  } else {  // measured from where the goal will be; how far it still has to go pulls as a force
+  } else {  // relative to the target; the goal's remaining distance acts as a force
     double *start = work_.data(), *middle = start + n, *end = middle + n;
     const double half = std::exp(-0.5 * filter * r), k = primitive.stiffness;
     for (int i = 0; i < n; ++i) {
@@ -350,14 +351,14 @@ void PrimitiveStepper::step_spring(double r) {
   f0_.swap(f1_);
 }
 
-// In steps short enough for the spring: the forcing depends on the state.
+// Divides the step for the spring: the forcing depends on the state.
 void PrimitiveStepper::step_position(double r) {
   const double parts =
       std::max(std::ceil(std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r), 1.0);
   for (double part = 0.0; part < parts; part += 1.0) step_runge(r / parts);
 }
 
-// Exactly without external terms, else in steps short for the spring.
+// Exact without external terms; otherwise in steps that are short for the spring.
 void PrimitiveStepper::step_coupled(double r) {
   const double stiff = std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r;
   const double parts = std::max(std::ceil(stiff / coupled_step), 1.0), h = r / parts;
@@ -417,7 +418,7 @@ void PrimitiveStepper::step_runge(double h) {
   force(s_, y_.data(), f0_.data());
 }
 
-// Keeps v^2 <= 2 a |g - y| on the way to a changed goal, and y on its side of it.
+// Keeps v^2 <= 2 a |g - y| on the way to a changed goal, and prevents y from passing it.
 void PrimitiveStepper::brake() {
   for (int i = 0; i < primitive.n; ++i) {
     if (side_[i] == 0.0) continue;

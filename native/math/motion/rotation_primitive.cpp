@@ -17,7 +17,7 @@ Quaternion<double> turned(const Vector &theta, const Quaternion<double> &q) {
   return Quaternion<double>{t.cosine, t.k * theta} * q;
 }
 
-// theta' of exp(theta) q at the angular velocity w, to fourth order in theta.
+// theta' of exp(theta) q at angular velocity w, to fourth order in theta.
 Vector chart(const Vector &theta, const Vector &w) {
   const Vector once = cross(theta, w);
   return w - 0.5 * once + (1.0 / 12.0) * cross(theta, once);
@@ -53,7 +53,7 @@ Vector RotationStepper::force(double s) {
   return map_.turn({f[0], f[1], f[2]});
 }
 
-// The rotation vector to the goal, the shorter way.
+// The shorter rotation vector to the goal.
 Vector RotationStepper::error(const Quaternion<double> &q) const {
   const Quaternion<double> way = goal_ * conjugate(q);
   return rotation_vector(way.w < 0.0 ? Quaternion<double>{-way.w, -way.v} : way);

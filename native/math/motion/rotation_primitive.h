@@ -1,13 +1,13 @@
-// A movement primitive of orientations, with time in units of tau, ' = d/d(t/tau), and z = tau w in
-// base axes:
+// A movement primitive for orientations, with time in units of tau, ' = d/d(t/tau), and z = tau w
+// in base axes:
 //
 //   q' = z q / 2,   z' = stiffness e - alpha z + map f,   e = rotation vector of goal q^-1 on the
 //   shorter way
 //
-// f is the forcing of a primitive of three coordinates; map (3, 3) rotates and scales it. An
-// RK4 step is taken in the chart exp(theta) q around the orientation at its start, theta' =
-// z - theta x z / 2 + theta x (theta x z) / 12, with the forcing at its start, middle and end: of
-// fourth order, and on the group. Steps too long for the spring are divided.
+// f is the forcing of a primitive with three coordinates; map (3, 3) rotates and scales it. An RK4
+// step uses the chart exp(theta) q around its initial orientation, theta' = z - theta x z / 2 +
+// theta x (theta x z) / 12, with the forcing at start, middle and end. It has fourth order and
+// stays on the group. Steps too long for the spring are divided.
 #pragma once
 
 #include "math/lie/lie.h"
@@ -17,10 +17,10 @@ namespace armlab {
 
 class RotationStepper {
  public:
-  explicit RotationStepper(const Primitive &primitive);  // of three coordinates, phase of time
+  explicit RotationStepper(const Primitive &primitive);  // three coordinates, time phase
 
-  // Starts at phase time 0. q0, goal (4), not zero; w0 (3); map (3, 3) turns and scales the
-  // forcing.
+  // Starts at phase time 0. q0, goal (4): nonzero quaternions; w0 (3); map (3, 3): rotates and
+  // scales the forcing.
   void start(const double *q0, const double *w0, const double *goal, const double *map, double tau);
   void step(double dt);
   void change_goal(const double *goal, const double *map);

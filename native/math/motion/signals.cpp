@@ -34,7 +34,7 @@ std::vector<double> SignalOperator::memory() const {
 
 SignalOperator SignalOperator::of_memory(const std::vector<double> &memory) {
   std::size_t at = 0;
-  const auto next = [&] { return memory.at(at++); };  // throws past the end
+  const auto next = [&] { return memory.at(at++); };  // throws beyond the end
   const auto kind = static_cast<SignalKind>(int(next()));
   const double a = next(), b = next(), dt = next();
   SignalOperator made(kind, a, b, dt, {});
@@ -93,7 +93,7 @@ void SignalOperator::note_gap(double h) {
   longest_gap = std::max(longest_gap, h);
 }
 
-// The first sample. Operators with memory take a step of dt from `init`; the others start there.
+// First sample: operators with memory take a step of dt from `init`; the others start at it.
 void SignalOperator::begin(std::size_t n, const double *x, double *out) {
   const auto initial = [this](std::size_t i) { return init_[init_.size() == 1 ? 0 : i]; };
   const bool given = !init_.empty(), timed = !std::isnan(dt_);

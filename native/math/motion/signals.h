@@ -12,12 +12,12 @@ enum class SignalStatus { ok, time_backward, time_missing, time_unexpected };
 
 class SignalOperator {
  public:
-  // a: time constant of `exponential`, angular corner frequency of the oscillators; b: their
-  // damping ratio. dt: nominal step, NaN when every sample has a time stamp. init: none, one value
-  // or n.
+  // a: time constant of `exponential`, or angular corner frequency of the oscillators; b: their
+  // damping ratio. dt: nominal step, NaN if every sample has a time stamp. init: no value, one
+  // value or n values.
   SignalOperator(SignalKind kind, double a, double b, double dt, std::vector<double> init);
 
-  // From the numbers of `memory`, for copies in other processes.
+  // Restores an operator from `memory`, for copies in other processes.
   static SignalOperator of_memory(const std::vector<double> &memory);
   std::vector<double> memory() const;
 
@@ -25,7 +25,8 @@ class SignalOperator {
   const std::vector<double> &init() const { return init_; }
   std::size_t channels() const { return x_.size(); }  // 0 before the first sample
 
-  // One sample of n channels; t without NaN, or null without time stamps. out may not overlap x.
+  // Processes one sample of n channels; t is not NaN, or null without time stamps. out must not
+  // overlap x.
   SignalStatus step(std::size_t n, const double *x, const double *t, double *out);
 
   long gaps = 0, skipped = 0;
@@ -40,11 +41,11 @@ class SignalOperator {
 
   SignalKind kind_;
   double a_, b_, dt_;
-  std::vector<double> init_, x_, y_, v_;  // last input, output or position, velocity
+  std::vector<double> init_, x_, y_, v_;  // last input; output or position; velocity
   bool started_ = false, stamped_ = false;
   double clock_ = 0.0, waiting_ = 0.0,
-         nominal_ = 0.0;         // last stamp, time of skipped samples, usual step
-  double h_ = -1.0, c_[4] = {};  // the step of the coefficients, and they
+         nominal_ = 0.0;         // last stamp; time of skipped samples; usual step
+  double h_ = -1.0, c_[4] = {};  // step of the coefficients; coefficients
 };
 
 }  // namespace armlab

@@ -1,5 +1,5 @@
-// The spring of a movement primitive, advanced exactly under a forcing term that is a quadratic
-// over the step. In a header, for vectorised loops to inline it.
+// The spring of a movement primitive, advanced exactly under a forcing term that is quadratic over
+// the step. It is a header so vectorised loops can inline it.
 #pragma once
 
 #include <algorithm>
@@ -8,11 +8,11 @@
 
 namespace armlab {
 
-// One exact step over r of y'' = stiffness (g - y) - alpha y' + f with f a quadratic through its
-// values at the start, the middle and the end: of fourth order in f, and stable for any r.
+// One exact step over r of y'' = stiffness (g - y) - alpha y' + f, with f a quadratic through its
+// values at the start, the middle and the end: fourth order in f, and stable for any r.
 struct SpringStep {
-  double yy, yz, zy, zz;             // of the state, y measured from the goal
-  double f0, fm, f1, vf0, vfm, vf1;  // of the three forces, on y and on z
+  double yy, yz, zy, zz;             // gains of the state, with y relative to the goal
+  double f0, fm, f1, vf0, vfm, vf1;  // gains of the three forces on y and on z
 
   SpringStep() = default;
   SpringStep(double alpha, double stiffness, double r);
@@ -21,13 +21,13 @@ struct SpringStep {
       const double *g, double *y, double *z) const;
 };
 
-// integral of G(r - s) s^k over s from 0 to r, k = 1, 2, G the impulse response, by its series
+// Integral of G(r - s) s^k over s from 0 to r, k = 1, 2, from the series of the impulse response G.
 inline void short_moments(double alpha, double stiffness, double r, double &first, double &second) {
   double g = 1.0, before = 0.0, power = r * r * r / 6.0;  // G = sum g_j r^j / j!
   first = power;
   second = 0.0;
   for (int j = 1; j < 60; ++j) {
-    const double term = 2.0 * power * r / (j + 3) * g;  // of the second moment, one power behind
+    const double term = 2.0 * power * r / (j + 3) * g;  // for the second moment, one power behind
     second += term;
     const double next = -(alpha * g + stiffness * before);
     before = g;
@@ -38,7 +38,7 @@ inline void short_moments(double alpha, double stiffness, double r, double &firs
   }
 }
 
-// The impulse response and its derivative unless r is short.
+// The impulse response and its derivative, unless r is short.
 inline void long_response(double alpha, double stiffness, double r, double &G, double &slope) {
   const double sigma = 0.5 * alpha, square = sigma * sigma - stiffness;
   const double mu = std::sqrt(std::fabs(square)), angle = mu * r;
@@ -62,9 +62,9 @@ inline void long_response(double alpha, double stiffness, double r, double &G, d
 
 inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
-  r = std::max(r, 1e-100);  // shorter steps change nothing, and their powers would be 0
+  r = std::max(r, 1e-100);  // shorter steps have no effect, and their powers would be 0
   const double fastest = std::max(alpha, std::sqrt(stiffness));
-  // over a short time the slow mode hardly moves, and its moments would cancel
+  // over a short time, the slow mode hardly changes, and its moments would cancel
   if (fastest * r < 1.0 || stiffness * r < alpha) {
     double h = r;
     int doublings = 0;
@@ -105,7 +105,7 @@ inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
 
 inline void SpringStep::advance(std::ptrdiff_t count, const double *start, const double *middle,
     const double *end, const double *g, double *__restrict y, double *__restrict z) const {
-  const SpringStep s = *this;  // in registers: y and z could be a part of it
+  const SpringStep s = *this;  // in registers, because y and z could alias members
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const double d = y[i] - g[i], v = z[i];
     y[i] = g[i] + (s.yy * d + s.yz * v) + (s.f0 * start[i] + s.fm * middle[i] + s.f1 * end[i]);

@@ -1,4 +1,4 @@
-// Two-degree-of-freedom control of a movement primitive. Specification: tests/oracles/two_dof.py.
+// Two-degree-of-freedom control for a movement primitive. Specification: tests/oracles/two_dof.py.
 #pragma once
 
 #include "math/arm/chain.h"
@@ -9,11 +9,11 @@ namespace armlab {
 class TwoDof {
  public:
   struct Parameters {
-    Primitive primitive;  // of at most max_joints coordinates
+    Primitive primitive;  // at most max_joints coordinates
     double tau, kp, kv, kc, alpha_e, e_max;
     std::vector<double> y0, g, scale, dead_zone, unit;  // (n)
   };
-  // The speed at the beginning and at the end of a step, and its change after it.
+  // The speed at the start and end of a step, and its rate of change after the step.
   struct Speed {
     double start, end, rate;
   };
@@ -21,15 +21,16 @@ class TwoDof {
   explicit TwoDof(Parameters parameters);
 
   int n() const { return p_.primitive.n; }
-  int size() const { return 5 * n() + 2; }  // of a state
+  int size() const { return 5 * n() + 2; }  // length of a state
 
-  // Advances a state in place. driven (n): velocity of ya, NaN if it follows its reference.
+  // Advances a state in place. driven (n): velocity of ya, or NaN if ya follows its reference.
   void advance(double *state, double dt, long steps, const double *driven, const Speed &speed);
   // out (3, n): yc', yc'' and ya_ref''.
   void reference(const double *state, const Speed &speed, double *out);
-  // Time derivative of a state whose ya'' is ya_ref''.
+  // Time derivative of a state with ya'' = ya_ref''.
   void slopes(const double *state, const Speed &speed, double *out);
-  // `advance` with the last velocity, then ya and yad (n) are measured; out as in `reference`.
+  // Advances with the last velocity, then sets ya and yad (n) to measurements; out: see
+  // `reference`.
   void follow(double *state, double dt, long steps, const Speed &speed, const double *ya,
       const double *yad, double *out);
   double time_constant(const double *state) const;
@@ -44,7 +45,7 @@ class TwoDof {
   void forcing(double x, const double *yc, double *f);
 
   Parameters p_;
-  std::vector<int> index_;  // room for one evaluation
+  std::vector<int> index_;  // workspace of one evaluation
   std::vector<double> psi_;
 };
 

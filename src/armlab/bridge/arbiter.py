@@ -1,6 +1,6 @@
-"""Command arbitration: `Arbiter`, a controller with one commanding client per arm; `Order`, the command of a client.
+"""Command arbitration: an `Arbiter` is a controller with one commanding client per arm; an `Order` is a client command.
 
-Arbitration is not a safety function; the emergency stop and the supervision of the robot remain in charge.
+Arbitration is not a safety function; rely on the emergency stop and the supervision of the robot.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Order(NamedTuple):
-    """Command of a client to an arm: references, or a trajectory with the name of its goal."""
+    """Client command to an arm: references, or a trajectory with its goal name."""
 
     client: str
     arm: str
@@ -44,7 +44,7 @@ class Order(NamedTuple):
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Return the command of an order, and an error text ("" if valid); one invalid number invalidates the order."""
+    """Convert an order to a Command; also return an error message, "" if all its numbers are valid."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)
@@ -52,7 +52,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
             return Command(), problem
     if values["tau"] is not None and not has_torque:
         problem = (
-            f"Expected no torque for {robot.name}, because this cell allows no torque commands to it. Set `torque` of "
+            f"Expected no torque for {robot.name}, because its cell does not allow torque commands. Set `torque` of "
             "the robot in the cell file."
         )
         return Command(), problem
@@ -62,7 +62,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
 
 
 def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return one vector (n,) of a command, and an error text ("" if the vector is valid)."""
+    """Return one vector (n,) of an order and an error message, "" if the vector is valid."""
     values = getattr(order, name)
     if values is None:
         return None, ""
@@ -86,14 +86,14 @@ LEASE = 0.1
 Result = tuple[str, str, str]
 """Status of a goal ("executing", "succeeded", "canceled" or "aborted"), outcome of its trajectory, and reason."""
 
-_RESULTS = 64  # stored results of ended goals, for clients that missed them
-_ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
-_CLIENTS = 256  # limit on counted clients and on queued commands, against floods
+_RESULTS = 64  # number of stored goal results, for clients that missed them
+_ANSWER_EVERY = 1_000_000_000  # ns: minimum interval between answers to a client
+_CLIENTS = 256  # maximum number of counted clients and queued commands, which bounds memory
 
 
 @dataclass(slots=True)
 class _Holder:
-    """Commanding client of an arm, with the number and arrival time [ns] of its current command."""
+    """Commanding client of an arm, with the sequence number and arrival time [ns] of its current command."""
 
     client: str
     command: Command
@@ -103,14 +103,14 @@ class _Holder:
 
 
 class Arbiter:
-    """Controller that forwards the newest command of the commanding client of each arm; a free arm holds its position.
+    """Controller that forwards the newest command of each arm's commanding client; a free arm holds its position.
 
     The first valid command of an allowed client takes a free arm. The client keeps the arm by sending commands, and
     loses it after `lease` seconds of silence, on disconnection, or through `release`. The first position must lie
     within `entry` of the measured joints. A refused command has no effect. Any client may `stop`; only
     operators may `resume`.
 
-    A trajectory is a single command of long duration: the server renews the lease while the client is connected.
+    A trajectory is one long-running command: the server renews its lease while the client is connected.
     `on_goal` receives the start and the result of each goal.
     """
 
@@ -151,18 +151,18 @@ class Arbiter:
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
-        """Return whether a client commands an arm, or may take an arm because all arms are free."""
+        """Return whether a client commands an arm, or is allowed to and all arms are free."""
         holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
     def submit(self, order: Order) -> None:
-        """Queue a command for the next tick; only the newest command of each client for each arm takes effect."""
+        """Queue a command for the next tick; for each arm, only a client's newest command takes effect."""
         now, why = self._clock(), ""
         self._results.pop((order.client, order.goal), None)  # a client may reuse a goal name
         if order.arm not in self._holders:
             why = f"Expected the name of an arm of this cell ({', '.join(self._holders)}), got {order.arm!r}."
         elif self._reserved:
-            why = f"{order.arm} is commanded by {self._reserved}. You may only read."
+            why = f"{order.arm} is commanded by {self._reserved}. You have read-only access."
         elif order.server not in self._allowed:
             why = f"Expected no commands through {order.server}, because `commands` does not list it."
         elif len(self._inbox) >= _CLIENTS and (order.arm, order.client) not in self._inbox:
@@ -207,7 +207,7 @@ class Arbiter:
                 self._end(order, "canceled", "interrupted", f"Canceled by {who}.")
 
     def reserve(self, who: str) -> None:
-        """Refuse the commands of all clients from now on, because a controller commands the arms."""
+        """Refuse all client commands from now on, because a controller commands the arms."""
         self._reserved = who
 
     def stop(self, who: str) -> None:
@@ -219,7 +219,7 @@ class Arbiter:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop (operators only); each client must begin again near the current position of its arm."""
+        """End a stop (operators only); each client must restart near the current position of its arm."""
         if self.stopped:
             self.release(who)
             for _, order in self._inbox.values():
@@ -229,7 +229,7 @@ class Arbiter:
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms of a commanding client; by default, free all arms."""
+        """Free the arms of a commanding client (default: all arms)."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")
@@ -237,17 +237,17 @@ class Arbiter:
     def leave(self, client: str) -> None:
         for arm, holder in self._holders.items():
             _, order = self._inbox.pop((arm, client), (0, None))
-            self._end(order, "aborted", "interrupted", "The client closed.")
+            self._end(order, "aborted", "interrupted", "The client disconnected.")
             if holder is not None and holder.client == client:
-                self._free(arm, "it closed")
+                self._free(arm, "it disconnected")
         self._answered.pop(client, None)
 
     def report(self, client: str, why: str) -> None:
-        """Count a message that a server refused, and report it at most once a second per client."""
+        """Count a message that a server refused; report it at most once a second per client."""
         self._refuse(Order(client, ""), why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
-        """Return the newest command of the commanding client of each arm, or None (hold)."""
+        """Return the newest command of each arm's commanding client, or None (hold)."""
         self.poll()
         now = self._called_ns = self._clock()
         for arm in self._holders:
@@ -281,7 +281,9 @@ class Arbiter:
         if self.stopped:
             return self._refuse(order, f"All arms hold, because {self.stopped} stopped them.", came_ns)
         if holder is not None and holder.client != order.client:
-            return self._refuse(order, f"{order.arm} is commanded by {holder.client}. You may only read.", came_ns)
+            return self._refuse(
+                order, f"{order.arm} is commanded by {holder.client}. You have read-only access.", came_ns
+            )
         if holder is not None and None not in (order.seq, holder.seq) and order.seq <= holder.seq:  # type: ignore[operator]
             _count(self.refused, order.client)
             return False
@@ -317,11 +319,11 @@ class Arbiter:
             return self._follow(holder.order, holder.order.trajectory, state, 0.0 if is_fresh else dt)
         q, axes, jump = holder.command.q, self._axes[robot.name], self._limits[robot.name].jump
         if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > jump):
-            return None  # the arm has held since this command; to continue would be a jump, which ends the run
+            return None  # the arm has held since this command; resuming it would be a jump, which ends the run
         return holder.command
 
     def _follow(self, order: Order, trajectory: TrajectoryController, state: State, dt: float) -> Command | None:
-        """Return the next command of a trajectory, or None after its end or if its reference is too far off."""
+        """Return the next trajectory command, or None if the trajectory ended or its reference is too far away."""
         command, axes = trajectory(state, dt), self._axes[order.arm]
         is_far = command.q is not None and not np.all(
             np.abs(axes(command.q) - axes(_sent(state))) <= self._limits[order.arm].jump
@@ -366,13 +368,13 @@ class Arbiter:
 
 
 def _count(counter: Counter[str], client: str) -> None:
-    """Count a client; remove the oldest entry of a full counter."""
+    """Count a client; if the counter is full, remove its oldest entry."""
     if client not in counter and len(counter) >= _CLIENTS:
         del counter[next(iter(counter))]
     counter[client] += 1
 
 
 def _sent(state: State) -> np.ndarray:
-    """Return the last position sent, or the measured position before the first command."""
+    """Return the last commanded position, or the measured position before the first command."""
     q = state.q_sent
     return q if len(q) and not np.isnan(q).any() else state.q

@@ -1,7 +1,7 @@
 """Robot cell: robots, sources, parameters and servers from one TOML file, and the bridge that runs them.
 
-By default, network servers listen only on this computer; the option --listen opens them to other computers, see
-`listening`.
+By default, network servers listen only on this computer. The option --listen opens them to other computers (see
+`listening`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ GUARDED = "guarded"
 """Server option: whether commanding clients need a secret and an encrypted connection."""
 
 _ANYWHERE = "0.0.0.0"
-_ZENOH = ("zenoh", "rmw_zenoh")  # on the same port, they share a router, and each receives the messages of both
+_ZENOH = ("zenoh", "rmw_zenoh")  # with the same port, both share a router and receive each other's messages
 
 
 def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
@@ -56,7 +56,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
         found[server] = _address(place)
         if server == "ros1" and found[server] == _ANYWHERE:
             raise ConfigError(
-                f"Expected an address at which other nodes can reach ros1, got --listen {word}. Give that address."
+                f"Expected an address at which other nodes can reach ros1, got --listen {word}. Specify that address."
             )
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
@@ -79,7 +79,7 @@ def is_open(options: Mapping[str, Any], address: str) -> bool:
 
 
 def _check_readers(cell: Cell, addresses: Mapping[str, str]) -> None:
-    """Raise an error if rows go to a router on another computer without a --listen option that allows readers there."""
+    """Raise an error if a server sends rows to a remote router, but --listen does not allow remote readers."""
     for name in _ZENOH:
         router = cell.servers.get(name, {}).get("router", "")
         if router and not is_here(router) and ipaddress.ip_address(addresses[name]).is_loopback:
@@ -98,14 +98,14 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
             if is_shared and name in cell.commands and is_open(cell.servers[other], addresses[other]):
                 raise ConfigError(
                     f"Expected {other} only on this computer, got --listen {other}={addresses[other]}: it shares the "
-                    f"router at port {place} with {name}, which `commands` lists, so any client could command. Choose "
-                    f"a different `port` for [servers.{other}]."
+                    f"router at port {place} with {name}, which `commands` lists, so any client could command the "
+                    f"arms. Choose a different `port` for [servers.{other}]."
                 )
     at = {addresses[name] for name, place in places.items() if place and not cell.servers[name]["router"]}
     if len(set(places.values())) == 1 and len(at) == 2 and _ANYWHERE in at:
         raise ConfigError(
             f"Expected zenoh and rmw_zenoh at the same address, because both share the router at port "
-            f"{places['zenoh']}, and one of them listens at every address. Pass --listen for both, or set a different "
+            f"{places['zenoh']}, and one of them listens on all addresses. Pass --listen for both, or set a different "
             "`port` for one of them."
         )
 
@@ -128,7 +128,7 @@ def _check_master(cell: Cell) -> None:
 
 
 def _router_port(options: Mapping[str, Any]) -> str:
-    """Return the port of the local router of a Zenoh server, or "" if other servers cannot share the router."""
+    """Return the local router port of a Zenoh server, or "" if other servers cannot share the router."""
     host, _, port = options["router"].rpartition(":")
     if host:
         return port if is_here(options["router"]) else ""
@@ -227,7 +227,7 @@ class _Server(_Table, frozen=True):
     """Table of a server."""
 
     def options(self) -> dict[str, Any]:
-        """Return the options of the server process, with `GUARDED` for a server that supports a secret."""
+        """Return the options of the server process, with `GUARDED` if the server supports a secret."""
         return msgspec.to_builtins(self)
 
 
@@ -326,7 +326,7 @@ _SIDES = {"left": 7511, "right": 7512}
 
 @dataclass(frozen=True)
 class Cell:
-    """Checked content of a cell file; `extension`, `pace` and `record` are those of `connect` and `Link.run`."""
+    """Validated cell file; for `extension`, `pace` and `record`, see `connect` and `Link.run`."""
 
     name: str
     robots: tuple[Robot, ...]
@@ -340,15 +340,15 @@ class Cell:
     parameters: tuple[Parameter, ...]
     servers: Mapping[str, Mapping[str, Any]]  # options by server name
     _sources: Mapping[str, SourceTable]
-    text: str = ""  # of the file, stored in recordings
+    text: str = ""  # of the cell file, to be stored in recordings
 
     def sources(self) -> list[Source]:
-        """Return new sources that have not been started."""
+        """Return new sources, which the caller starts."""
         return [_source(name, one) for name, one in self._sources.items()]
 
 
 def parse_cell(text: str, path: str = "cell.toml") -> Cell:
-    """Parse a cell from TOML text; an invalid text raises a one-line `ConfigError` that contains the path."""
+    """Parse a cell from TOML text; invalid text raises a one-line `ConfigError` with the path."""
     try:
         file = msgspec.convert(parsed(text), File, strict=True)
         return replace(_cell(file), text=text)
@@ -359,7 +359,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
 
 
 def _link(one: RobotTable) -> str:
-    """Return the URL of a link; the URL of a simulated robot includes the options that select the arm."""
+    """Return the URL of a link; for a simulated robot, the URL includes the options that select the arm."""
     lock = ",".join(f"{joint}={value!r}" for joint, value in one.lock.items())
     chosen = {name: value for name, value in (("base", one.base), ("tip", one.tip), ("lock", lock)) if value}
     return choosing_arm(one.link, chosen)
@@ -370,7 +370,7 @@ def _cell(file: File) -> Cell:
     names = [arm.name for arm in arms]
     if len(set(names)) < len(names):
         raise ConfigError(f"Expected robots with different names, got {', '.join(names)}.")
-    if len(names) > 1 and file.name in names:  # the name of the cell addresses both arms together
+    if len(names) > 1 and file.name in names:  # the cell name addresses all arms together
         raise ConfigError(f"Expected a cell name that differs from its robots, got {file.name}.")
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
@@ -397,7 +397,7 @@ def _cell(file: File) -> Cell:
 
 
 def _limits(arm: Robot, one: RobotTable, extension: bool) -> Limits:
-    """Return the limits of an arm; an entry `torque` requires a link that carries torques."""
+    """Return the limits of an arm; `torque` requires a link that supports torques."""
     if one.torque is None:
         return Limits.of(arm, speed=one.speed)
     if not (one.link.startswith("sim:") or (extension and one.link.startswith("egm:"))):
@@ -449,7 +449,7 @@ def run_cell(
     controller: Controller | None = None,
     parameters: Parameters | None = None,
 ) -> Run:
-    """Run the bridge of a cell: send the rows of the arms to the servers, and the commands of clients to the arms.
+    """Run the bridge of a cell, which sends rows to the servers and client commands to the arms.
 
     Parameters
     ----------
@@ -466,7 +466,7 @@ def run_cell(
     ended : callable
         Called with the finished Run, even if an error is then raised.
     controller : callable
-        Commands the arms in place of the clients, which may then only read, set parameters and stop the arms.
+        Commands the arms instead of the clients, which may then only read, set parameters and stop the arms.
     parameters : Parameters
         Parameters of the controller, built from `Cell.parameters`.
     """

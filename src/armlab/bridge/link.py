@@ -1,4 +1,4 @@
-"""Connection of a controller to robots: `connect` returns a `Link`, which runs the controller."""
+"""Connections to robots: `connect` returns a `Link`, which runs controllers."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ GROUP = "armlab.bridge.codecs"
 """Entry point group of additional codecs; each entry point maps a Robot to its `wire.egm.Codec`."""
 
 _MOVES = ("links", "prismatic", "coupling", "T_base_mount", "gravity")
-_CALIBRATED = 0.02  # largest difference of an entry [m, 1, m/s^2] that a calibration can explain
-_SCARA = "scara"  # part of the simulator, not of the library
+_CALIBRATED = 0.02  # largest difference between entries [m, 1, m/s^2] attributable to calibration
+_SCARA = "scara"  # provided by the simulator, not by the robot library
 
 _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False, simulated: bool = False) -> Codec:
-    if name == "egm" and simulated:  # the simulator receives linear axes in the units that it sends
+    if name == "egm" and simulated:  # the simulator uses the same units for received and sent linear axes
         axes = zip(robot.prismatic, robot.abb_axes, strict=True)
         return EgmCodec(robot, extension, ["mm" if slides and axis > 6 else "deg" for slides, axis in axes])
     if name == "egm":
@@ -91,7 +91,7 @@ def codec_named(name: str, robot: Robot, extension: bool = False, simulated: boo
 def codecs_of(
     codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, simulated: bool = False
 ) -> list[Codec]:
-    """Return one codec per arm: either a new codec created by name, or the object given."""
+    """Return one codec per arm: a new codec if `codec` is a name, otherwise the given object."""
     if isinstance(codec, str):
         return [codec_named(codec, robot, extension, simulated) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
@@ -110,9 +110,9 @@ _PATIENCE = 5.0  # s allowed for the process to exit before it is killed
 
 
 class Simulator:
-    """Process ``armlab sim`` that sends to ports on this computer.
+    """``armlab sim`` process that sends to ports on this computer.
 
-    A separate session shields the process from Ctrl-C, so that the bridge can bring the arm to rest first.
+    The process has its own session, which shields it from Ctrl-C, so the bridge can bring the arm to rest first.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
@@ -125,7 +125,7 @@ class Simulator:
         arguments += [
             "--parent",
             str(os.getpid()),
-        ]  # passed, because this process may end before the child can look it up
+        ]  # passed, because this process may end before the child can query its parent
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         number, errors = os.pipe()
         self._errors = Descriptor(number)
@@ -137,7 +137,7 @@ class Simulator:
         self._reader.start()
 
     def gone(self) -> str:
-        """Return the reason for the end of the process, or "" while the process is running."""
+        """Return why the process ended, or "" while it is running."""
         status = self._process.poll()
         if status is None:
             return ""
@@ -273,18 +273,18 @@ def _robots(robot: Any) -> list[Robot]:
 
 
 def _check_simulated(robots: Sequence[Robot], where: Sequence[Address]) -> None:
-    """Raise an error if a simulated arm is unknown or its links or mount differ; tool and calibration may differ."""
+    """Raise an error if a simulated arm is unknown or has different links or mount; tool and calibration may differ."""
     for robot, address in zip(robots, where, strict=True):
         if address.robot == _SCARA:
             continue
-        with warnings.catch_warnings():  # the same warnings appeared when the robot was loaded
+        with warnings.catch_warnings():  # loading the robot already issued these warnings
             warnings.simplefilter("ignore")
             simulated = load_chosen(address.robot, address.options)
         same = simulated.n == robot.n and all(
             np.allclose(getattr(simulated, name), getattr(robot, name), rtol=0.0, atol=_CALIBRATED) for name in _MOVES
         )
         if not same:
-            advice = "Pass the arm that is simulated, or simulate this arm with sim://FILE."
+            advice = "Pass the simulated arm, or simulate this arm with sim://FILE."
             check_same(robot, f"the link sim://{address.robot}", simulated.name, simulated.hash, simulated, advice)
 
 
@@ -371,7 +371,7 @@ class Link:
     ) -> Run:
         """Run a controller on the robot: one call and one reply per packet.
 
-        The arm holds until the controller returns a first command within `Limits.entry` of the arm position.
+        The arm holds until the controller returns a command within `Limits.entry` of the arm position.
 
         The run ends
 
@@ -392,7 +392,7 @@ class Link:
         ----------
         controller : callable
             Maps a State to a Command or None (hold). With several arms, it returns a Command for all joints, or a tuple
-            with one Command per arm. With None as the controller, the run only listens and never sends.
+            with one Command per arm. If None, the run only listens and never sends.
         seconds : float, s
             Duration of the run: robot time under guidance or, without a controller, from the first packet.
         wait : str
@@ -409,25 +409,25 @@ class Link:
         extra : mapping
             Columns of ``Command.record`` by name.
         progress : callable
-            Called ten times per second of robot time with (done, total, activity): the seconds under guidance so far
-            and in total, and "moving" or "listening".
+            Called ten times per second of robot time with (done, total, activity): elapsed and total time under
+            guidance [s], and "moving" or "listening".
         pace : str
             Name of the pacing arm; default: the first arm.
         feeds : sequence of Feed
             Consumers that receive each row and event after the reply; see `recording.Feed`.
         sources : sequence of Source
-            Sources to start and close with the run, fused with each packet into `State.sources`, and recorded.
+            Sources that start and close with the run; fused with each packet into `State.sources`, and recorded.
         damping : array, shape (n,), N m s/rad
             Damping of each joint; required for torque="admittance".
         torque_model : callable, TorqueModel or its Fit, or a sequence of them
             Torque (n,) of free motion as a callable of (q, qd), one per arm; default: zero.
         attachments : mapping
-            Bytes by name, stored in the recordings, such as models and settings; robot descriptions are always stored.
+            Bytes by name, such as models and settings, to store in the recordings besides the robot descriptions.
 
         Returns
         -------
         Run
-            The table, the report, and the reason for the end of the run.
+            The table, the report, and the reason why the run ended.
 
         Raises
         ------
@@ -451,7 +451,7 @@ class Link:
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=report)
         given = checked_limits(limits, self.robots, controller is not None)
         softness = admittances(torque, damping, torque_model, self.robots)
-        early: list[bool] = []  # interrupts before the loop exists: open recordings must still be closed
+        early: list[bool] = []  # interrupts before the loop exists; open recordings must still be closed
         with interrupts(lambda: early.append(True)):
             arms = assemble(
                 [end._replace(admittance=one) for end, one in zip(self._ends, softness, strict=True)],
@@ -526,7 +526,7 @@ class Link:
 
 
 def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
-    """Attach the rows of the last ten seconds from all arms to the error, if memory allows."""
+    """Attach the last ten seconds of rows from all arms to the error, if memory allows."""
     with suppress(MemoryError):  # the error matters more than its table
         tails = {arm.robot.name: arm.recording.tail() for arm in arms}
         failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
@@ -534,7 +534,7 @@ def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
-    """Start the watchdog and raise the thread priority; wait="spin" keeps normal priority, because it never yields."""
+    """Start the watchdog and raise the thread priority, except for wait="spin", which never yields."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
     if wait != "spin":

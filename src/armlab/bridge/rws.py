@@ -38,8 +38,8 @@ OLDEST = (6, 7)
 
 _DEFAULT_USER = "Default User"  # predefined on every controller
 _TIMEOUT = 5.0  # s without receiving a byte
-_LONGEST = 20.0  # s for a complete answer, even if its bytes arrive slowly
-_LARGEST = 4 << 20  # bytes of an answer
+_LONGEST = 20.0  # s: time limit for a complete response, even if its bytes arrive slowly
+_LARGEST = 4 << 20  # bytes: maximum size of a response
 _SETTLING = 5.0  # s within which motors or RAPID must change state
 _FORM, _HAL, _XHTML = (
     "application/x-www-form-urlencoded;v=2.0",
@@ -51,8 +51,8 @@ _CODES = {
     -1073445860: "the operating mode does not allow it. Switch the controller to automatic",
     -1073445859: "another program or the pendant holds mastership. Release it there",
     -1073445862: "another program or the pendant holds mastership. Release it there",
-    -1073445867: "the user lacks the right. Grant it in the controller's user authorisation",
-    -1073445863: "the user lacks the right. Grant it in the controller's user authorisation",
+    -1073445867: "the user lacks the required grant. Add it in the controller's user authorisation",
+    -1073445863: "the user lacks the required grant. Add it in the controller's user authorisation",
     -1073442809: "RAPID is running. Stop it first",
     -1073442802: "RAPID found a semantic error, such as a second main. Check the program on the pendant",
     -1073442803: "RAPID found a syntax error. Check the module",
@@ -127,7 +127,7 @@ class ControllerStatus:
 
 
 def split_host(text: str) -> tuple[list[str], str]:
-    """Return the possible URLs of a controller, and the name used for it in messages."""
+    """Return the candidate URLs of a controller, and its name in messages."""
     if "@" in text:  # not echoed, because it may contain a password
         raise ConfigError(
             f"Expected a controller address without user and password. Remove them from the address and set {USER} "
@@ -150,8 +150,8 @@ def open_controller(
 ) -> AbbController:
     """Connect to a controller: RobotWare 7 over TLS, or RobotWare 6 over plain HTTP with digest authentication.
 
-    The function calls `credentials` only after a controller answers. `insecure` accepts any certificate; `ca` is a file
-    of trusted certificates.
+    `credentials` is called only after a controller has answered. `insecure` accepts any certificate; `ca` is a file of
+    trusted certificates.
     """
     urls, place = split_host(host)
     verify: bool | str = False if insecure else ca or True
@@ -205,12 +205,12 @@ def _challenge(url: str, place: str, verify: bool | str) -> str:
     return response.headers.get("WWW-Authenticate", "").partition(" ")[0].lower() or f"HTTP {response.status_code}"
 
 
-_UNVERIFIED = -1  # status of an RwsError if the certificate is not accepted
+_UNVERIFIED = -1  # status of an RwsError for a rejected certificate
 
 
 @cache
 def _transport() -> Any:
-    """Return a `requests` transport that limits the time and size of answers and reports errors as sentences."""
+    """Return a `requests` transport that limits the time and size of responses and raises one-sentence errors."""
     requests, _ = _packages()
 
     class Transport(requests.adapters.HTTPAdapter):  # type: ignore[misc]
@@ -265,7 +265,7 @@ def _unreachable(place: str, error: Exception) -> RwsError:
 
 
 def _check(place: str, request: Any, response: Any) -> None:
-    """Raise an error if the controller refused a request, except for the challenge of digest authentication."""
+    """Raise an error if the controller refused a request, except for a digest authentication challenge."""
     status = response.status_code
     if status == 401:
         challenge = response.headers.get("WWW-Authenticate", "").lower()
@@ -332,7 +332,7 @@ def _to_rws2(request: Any) -> None:
 
 
 def _from_rws2(response: Any, body: bytes) -> bytes:
-    """Convert the body of an RWS 2.0 answer to RWS 1.0."""
+    """Convert the body of an RWS 2.0 response to RWS 1.0."""
     if "json" not in response.headers.get("Content-Type", ""):
         return body
     try:
@@ -345,7 +345,7 @@ def _from_rws2(response: Any, body: bytes) -> bytes:
 
 
 class AbbController:
-    """Connection to an ABB controller via Robot Web Services, created by `open_controller`; a context manager."""
+    """Connection to an ABB controller via Robot Web Services, created by `open_controller`; context manager."""
 
     def __init__(
         self, url: str, place: str, is_rws2: bool, credentials: Credentials, verify: bool | str = True
@@ -372,7 +372,7 @@ class AbbController:
         self._rws.close()
 
     def status(self, texts: bool = False) -> ControllerStatus:
-        """Return the state of the controller; `texts` adds the texts of all program modules."""
+        """Return the state of the controller; `texts` adds the source text of all program modules."""
         system = self._states("rw/system")
         version = next((str(one["rwversion"]) for one in system if "rwversion" in one), "")
         moving = [one for one in self._ask(self._rws.get_tasks).values() if one.motiontask]
@@ -397,7 +397,7 @@ class AbbController:
         )
 
     def module_text(self, task: str, module: str) -> str:
-        """Return the text of a loaded module, or "" if the controller does not provide it."""
+        """Return the source text of a loaded module, or "" if the controller does not provide it."""
         states = self._states(f"rw/rapid/modules/{quote(module)}?resource=module-text&task={quote(task)}")
         text = next((str(one["module-text"]) for one in states if "module-text" in one), "")
         return unquote(text) if "\n" not in text and re.search("%0[aAdD]", text) else text
@@ -417,7 +417,7 @@ class AbbController:
 
     @contextmanager
     def mastership(self) -> Iterator[None]:
-        """Hold RAPID mastership, which is required for changing programs."""
+        """Hold RAPID mastership, which is required to change programs."""
         self._post("rw/mastership/rapid?action=request")
         try:
             yield
@@ -520,20 +520,20 @@ class AbbController:
         self._ask(self._rws._do_post, path, form)
 
     def _ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call the client library; convert any error to one sentence."""
+        """Call the client library; convert any exception to a one-sentence error."""
         try:
             return function(*arguments)
         except LinkError:
             raise
         except Exception as error:
             raise RwsError(
-                f"Expected Robot Web Services answers from {self.place}, got other data "
+                f"Expected Robot Web Services answers from {self.place}, got unexpected data "
                 f"({type(error).__name__}: {str(error)[:200]}). Check that this is an ABB controller."
             ) from None
 
 
 def _options(states: Any) -> Iterator[str]:
-    """Yield the option names at all levels of an answer."""
+    """Yield the option names at all levels of a response."""
     for one in states if isinstance(states, list) else []:
         if isinstance(one, dict):
             if "option" in one:
@@ -543,7 +543,7 @@ def _options(states: Any) -> Iterator[str]:
 
 
 class SetupStep(NamedTuple):
-    """Setup step: description, and function that performs it."""
+    """Setup step: its description and the function that performs it."""
 
     text: str
     run: Callable[[], None]
@@ -552,7 +552,7 @@ class SetupStep(NamedTuple):
 def setup_steps(
     controller: AbbController, status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str]
 ) -> list[SetupStep]:
-    """Return the steps that load modules (texts by task) while RAPID is stopped; save and unload other main modules."""
+    """Return the steps that save and unload other main modules and load `modules` (text by task); stop RAPID first."""
     steps = []
     for task in tasks:
         module, text = PROGRAMS[task.name][0], modules[task.name]
@@ -568,7 +568,7 @@ def setup_steps(
         upload, load = partial(controller.upload, name, text), partial(controller.load, task.name, name)
         steps += [
             SetupStep(f"upload $HOME/{name}, {len(text)} bytes", upload),
-            SetupStep(f"load it into {task.name}", partial(_held, controller, load)),
+            SetupStep(f"load the module into {task.name}", partial(_held, controller, load)),
         ]
     return steps
 

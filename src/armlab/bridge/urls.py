@@ -1,4 +1,4 @@
-"""URLs of links; `addresses` parses them into one `Address` per robot."""
+"""Parsing of link URLs: `addresses` returns one `Address` per robot."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armlab.errors import ConfigError
 _PORT = 6510  # for a single arm
 _PORTS = 6511  # first of several arms: 6511 left, 6512 right
 _ZENOH = 7447  # port of the router
-_RWS = ("rws", "ca", "insecure")  # options: host of Robot Web Services, and verification of its certificate
+_RWS = ("rws", "ca", "insecure")  # options: Robot Web Services host and certificate verification
 _LABCOMM = 7511  # first port of a LabComm server: 7511 left, 7512 right
 
 
@@ -33,7 +33,7 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
         raise ConfigError(f"Expected one URL per robot, got {len(found)} for {count}: {', '.join(urls)}.")
     if len({(address.scheme, *sorted(_shared(address).items())) for address in found}) > 1:
         raise ConfigError(
-            f"Expected URLs of the same kind and with the same options in one link, got {', '.join(urls)}. "
+            f"Expected all URLs of a link to have the same scheme and options, got {', '.join(urls)}. "
             "Only the seeds of simulated robots may differ."
         )
     bound = [(one.host, one.port) for one in found if one.port and one.scheme != "zenoh"]
@@ -43,7 +43,7 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
 
 
 def choosing_arm(url: str, chosen: Mapping[str, str]) -> str:
-    """Return a URL; for a simulated robot, add the missing options base, tip and lock."""
+    """Return the URL; for a simulated robot, add any missing options `base`, `tip` and `lock`."""
     missing = urlencode({name: value for name, value in chosen.items() if f"{name}=" not in url})
     return f"{url}{'&' if '?' in url else '?'}{missing}" if missing and url.startswith("sim:") else url
 
@@ -86,11 +86,11 @@ def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
         port, options = _ZENOH, {"lab": parts.path.strip("/"), **options}
     elif unknown := [name for name in options if name not in _RWS or "rws" not in options]:
         raise ConfigError(
-            f"Expected only the options rws=HOST and, with it, ca=FILE or insecure=true in an egm link, got "
+            f"Expected only the options rws=HOST, optionally with ca=FILE or insecure=true, in an egm link, got "
             f"{', '.join(unknown)} in {url!r}."
         )
     number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)
-    number = number.lstrip("0") or number[:1]  # int() refuses 5000 digits
+    number = number.lstrip("0") or number[:1]  # int() raises an error for 5000 digits
     if not parts.hostname or not number.isascii() or not number.isdigit() or int(number[:6]) > 65535:
         raise ConfigError(f"Expected {parts.scheme}://HOST:PORT with a port from 0 to 65535, got {url!r}.")
     return [Address(parts.scheme, parts.hostname, int(number), "", options)]

@@ -3,8 +3,8 @@
 OpenCV (extra ``vision``) detects the corners. Intrinsics and poses minimise the reprojection error ``u - proj(T p)``.
 Let s be the standard deviation of this error. For known intrinsics, the covariance of each pose is
 ``s^2 (J_i^T J_i)^-1``. The covariance of the shared intrinsics is ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1``, with P_i the
-projection onto the columns of J_i. The two errors are independent, because the residuals that poses cannot explain
-determine the intrinsics (bundle adjustment: Triggs et al. 2000).
+projection onto the columns of J_i. The two errors are independent, because the intrinsics are determined by the part
+of the residuals that the poses cannot explain (bundle adjustment: Triggs et al. 2000).
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from armlab.models import HandEye
 
 LEAST_IMAGES, LEAST_FOR_INTRINSICS = 3, 6  # minimum number of images
 FOCAL = 0.05  # largest relative standard deviation of the focal length
-FEW_CORNERS = 6  # minimum number of corners of a board for a pose
-UNLIKE = 4.0  # ratio to the median reprojection error beyond which corners are wrong
+FEW_CORNERS = 6  # minimum number of board corners for a pose
+UNLIKE = 4.0  # ratio to the median reprojection error above which corners count as wrong
 TRIED, FEW_MARKERS = 10, 4  # images in the search for a dictionary; number of markers that identify the dictionary
-SURE = 2.5  # standard deviations of chi^2 from which a misfit is significant
-AMBIGUOUS = 2.0  # smallest ratio of the errors of the two pose solutions of a tag
+SURE = 2.5  # standard deviations of chi^2 above which a misfit is significant
+AMBIGUOUS = 2.0  # minimum error ratio of the two pose solutions of a tag
 FORMS = (
     "charuco:COLUMNSxROWS:SQUARE:MARKER[:DICTIONARY] (squares, m), checkerboard:COLUMNSxROWS:SQUARE (inner corners, "
     "m), apriltag:FAMILY:SIZE[:ID] or aruco:DICTIONARY:SIZE[:ID] (m)"
@@ -95,14 +95,14 @@ class BoardPoses(Shown):
     Attributes
     ----------
     T_cam_marker : ndarray, shape (N, 4, 4)
-        Poses; NaN if the board was not found. Axes as in OpenCV: z of the camera points forward, and x of the board
-        along a row.
+        Poses; NaN if the board was not found. Axes as in OpenCV: the camera z axis points forward, and the board x axis
+        points along a row.
     cov : ndarray, shape (N, 6, 6)
         Covariance of [v; w] for known intrinsics: v in camera axes [m], w in board axes [rad].
     valid : ndarray of bool, shape (N,)
         Mask of images with a pose.
     failures : dict
-        Reason for each missing pose; the key is the name (or number) of the image.
+        Reason for each missing pose, keyed by the name (or number) of the image.
     camera_matrix : ndarray, shape (3, 3)
         Camera matrix K [pixel], given or calibrated.
     distortion : ndarray, shape (k,)
@@ -147,18 +147,18 @@ def board_poses(
     *,
     intrinsics: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> BoardPoses:
-    """Detect a calibration board in images; return its poses with covariance, and the intrinsics of the camera.
+    """Detect a calibration board in images; return its poses with covariance, and the camera intrinsics.
 
     Parameters
     ----------
     images : sequence or mapping of ndarray, shape (H, W) or (H, W, 3), 8 bit
-        Images from one camera, all of the same size; the keys of a mapping are their names.
+        Images from one camera, all of the same size; mapping keys are image names.
     board : str
         ``charuco:7x5:0.03:0.022`` (number of squares along x and y, sides of a square and of a marker [m], optionally
         the dictionary; default: detected), ``checkerboard:8x5:0.025`` (number of inner corners, side of a square [m]),
-        ``apriltag:36h11:0.05`` or ``aruco:4X4_50:0.05`` (side of the black square [m], optionally the number of the
-        tag). The origin is the first corner of the board in OpenCV, the first inner corner of a checkerboard, or the
-        centre of a tag.
+        ``apriltag:36h11:0.05`` or ``aruco:4X4_50:0.05`` (side of the black square [m], optionally the tag number). The
+        origin is OpenCV's first corner of a ChArUco board, the first inner corner of a checkerboard, or the centre of
+        a tag.
     intrinsics : tuple, optional
         Camera matrix (3, 3) [pixel] and distortion coefficients as in OpenCV. Default: calibrated (fx, fy, cx, cy, k1,
         k2, p1, p2) from at least six images. Required for tags.
@@ -208,8 +208,8 @@ def poses_of_corners(
     failures, seen = _separated(found)
     if intrinsics is None and is_tag:
         raise NotExcited(
-            "Expected intrinsics for a tag, because its four corners do not determine them, got no intrinsics. Pass "
-            "them (--intrinsics FILE), or use a board.", ["intrinsics"], ["4 corners per image"],
+            "Expected intrinsics for a tag, because its four corners do not determine them, got none. Pass the "
+            "intrinsics (--intrinsics FILE), or use a board.", ["intrinsics"], ["4 corners per image"],
         )  # fmt: skip
     while True:  # until no image is an outlier
         _require_images(seen, found, failures, LEAST_IMAGES if intrinsics else LEAST_FOR_INTRINSICS)
@@ -235,7 +235,7 @@ def poses_of_corners(
 
 
 def _separated(results: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the failed results, whose values are strings, and the successful results."""
+    """Split the results into failures, whose values are strings, and successes."""
     failures = {name: one for name, one in results.items() if isinstance(one, str)}
     return failures, {name: one for name, one in results.items() if name not in failures}
 
@@ -250,22 +250,22 @@ def fit_hand_eye_images(
 ) -> Fit[HandEye]:
     """Calibrate the poses of the camera and a board from robot poses and images of the board at rest.
 
-    The function calls `fit_hand_eye` with the covariance of each board pose. If the residuals are larger than this
-    covariance explains, the covariance C of the result is scaled to ``C chi^2 / dof`` (Birge's ratio), because corner
-    errors within an image may be correlated and the arm may be inaccurate. The shared error of estimated intrinsics is
+    This calls `fit_hand_eye` with the covariance of each board pose. Corner errors within an image may be correlated,
+    and the arm may be inaccurate. If the residuals are larger than the pose covariances explain, the covariance C of
+    the result is therefore scaled to ``C chi^2 / dof`` (Birge ratio). The shared error of estimated intrinsics is
     added: ``C + S C_k S^T``, with S the sensitivity of the result to the intrinsics.
 
     Parameters
     ----------
     T_base_tool : array_like, shape (N, 4, 4)
-        Pose of the robot for each image; rows of images without a board are ignored.
+        Robot pose for each image; poses of images without a detected board are ignored.
     seen : BoardPoses
         Result of `board_poses`.
     setup : {"eye_to_hand", "eye_in_hand"}
         Fixed camera, or camera on the tool.
     noise_robot : array_like, optional
-        Standard deviations of the robot poses (m, rad), or their covariance, as in `fit_hand_eye`; recommended,
-        because a camera is often more accurate than the arm.
+        Noise of the robot poses, as in `fit_hand_eye`; recommended, because a camera is often more accurate than the
+        arm.
     robust : bool
         Detect and exclude outliers. `Fit.outliers` has one entry per image with a detected board.
 
@@ -276,7 +276,7 @@ def fit_hand_eye_images(
 
     Raises
     ------
-    ShapeError : there is not one robot pose per image.
+    ShapeError : the number of robot poses differs from the number of images.
     NotExcited, NotConverged : see `fit_hand_eye`.
     """
     T, N = numbers(T_base_tool, "T_base_tool", ShapeError), len(seen.valid)
@@ -293,8 +293,8 @@ def fit_hand_eye_images(
     notes = seen.report().splitlines()
     if ratio > 1.0:
         notes.append(
-            f"Residuals of the poses are {np.sqrt(ratio):.2g} times as large as corner errors explain; the standard "
-            "deviations are scaled by this factor."
+            f"Pose residuals are {np.sqrt(ratio):.2g} times as large as corner errors explain; standard deviations are "
+            "scaled by this factor."
         )
     D, S, sd = seen.sensitivity[seen.valid][keep], np.zeros((12, d)), np.sqrt(np.diag(seen.intrinsics_cov))
     for k in range(d):
@@ -306,7 +306,7 @@ def fit_hand_eye_images(
 
 
 def _misfit(fit: Fit[HandEye], A: np.ndarray, B: np.ndarray, cov: np.ndarray, noise_robot: Any, setup: str) -> float:
-    """Return chi^2 divided by its degrees of freedom if the ratio is significantly above 1, otherwise 1."""
+    """Return chi^2 per degree of freedom if it is significantly above 1, otherwise 1."""
     equation, _ = equation_of(A, B, setup, cov, noise_robot)
     X, Y = np.asarray(fit.value.X), fit.value.Y
     (one,) = equation.evaluate(Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3]))
@@ -356,7 +356,7 @@ def _gray(cv2: Any, image: Any, name: str) -> np.ndarray:
 
 
 def _detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return a function that detects the corners in an image, or returns the reason for a failure as a string."""
+    """Return a function that returns the corners in an image or, if detection fails, the reason as a string."""
     if board.kind == "checkerboard":
         return lambda image: _checkerboard(cv2, board, image)
     if board.kind == "charuco":
@@ -383,7 +383,7 @@ def _refined(cv2: Any) -> Any:
 
 
 def _charuco_detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return the detector with the dictionary and the pattern that find the most markers in the first images."""
+    """Return the detector whose dictionary and pattern find the most markers in the first images."""
     count = board.columns * board.rows // 2
 
     def markers(name: str, image: np.ndarray) -> int:
@@ -414,7 +414,7 @@ def _charuco_points(cv2: Any, detector: Any, image: np.ndarray) -> Corners | str
     corners, ids, _, markers = detector.detectBoard(image)
     if ids is None or len(ids) < FEW_CORNERS:
         count, known = (0 if ids is None else len(ids)), (0 if markers is None else len(markers))
-        return f"{count} corners of the board (minimum {FEW_CORNERS}), {known} of its markers"
+        return f"{count} board corners (minimum {FEW_CORNERS}), {known} board markers"
     places = np.asarray(detector.getBoard().getChessboardCorners(), dtype=float)[ids.ravel()]
     if np.linalg.matrix_rank(places[:, :2] - places[:, :2].mean(axis=0), 1e-6) < 2:
         return "all detected corners are on one line"
@@ -473,7 +473,7 @@ def _checked_intrinsics(camera_matrix: ArrayLike, distortion: ArrayLike) -> tupl
     if K.shape != (3, 3) or not np.isfinite(K).all() or not (K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1.0):
         raise ShapeError(f"Expected a camera matrix (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}.")
     if dist.size not in (0, 4, 5, 8, 12, 14) or not np.isfinite(dist).all():
-        raise ShapeError(f"Expected 0, 4, 5, 8, 12 or 14 distortion coefficients of OpenCV, got {dist.size}.")
+        raise ShapeError(f"Expected 0, 4, 5, 8, 12 or 14 OpenCV distortion coefficients, got {dist.size}.")
     return K, dist.ravel() if dist.size else np.zeros(4)
 
 
@@ -498,7 +498,7 @@ def _calibrated(cv2: Any, seen: Mapping[str, Corners], size: tuple[int, int]) ->
 def _pose(
     cv2: Any, places: np.ndarray, corners: np.ndarray, K: np.ndarray, dist: np.ndarray, is_tag: bool
 ) -> tuple[np.ndarray, np.ndarray] | str:
-    """Return the rotation vector and position of the board, or the reason as a string if the pose is ambiguous."""
+    """Return the rotation vector and position of the board or, if the pose is ambiguous, the reason as a string."""
     way = cv2.SOLVEPNP_IPPE_SQUARE if is_tag else cv2.SOLVEPNP_IPPE
     _, turns, shifts, errors = cv2.solvePnPGeneric(places, corners, K, dist, flags=way)
     found = sorted(zip(errors.ravel().tolist(), range(len(turns))))

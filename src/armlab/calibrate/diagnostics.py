@@ -1,4 +1,4 @@
-"""Diagnostics shared by all calibrations: limits, names of axes, too few rotations, misread orientations."""
+"""Diagnostics shared by all calibrations: limits, axis names, insufficient rotation, misread orientations."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ THINNED = 2000  # maximum number of rotations searched for the largest angle
 UNSEEN = 1e-9  # information below which a direction is unobservable
 ROUGH = 0.05  # residual [rad] too large for sensor noise
 COUNTS = {2: "two", 3: "three"}
-SPREAD_AND_ANGLE = "a fraction of the spread of the positions and an angle [rad]"
+SPREAD_AND_ANGLE = "a fraction of the position spread and an angle [rad]"
 ANGLE_WEIGHT_LENGTH = "an angle [rad], a fraction of the weight and a length [m]"
 SUSPECT = 0.02  # residual (relative or in rad) above which other interpretations are tried
-MUCH_BETTER = 0.3  # largest ratio of the residual of a better interpretation to the current residual
-FITS = 0.1  # largest ratio of the residual of a better interpretation to the spread
+MUCH_BETTER = 0.3  # maximum residual of a better interpretation, relative to the current residual
+FITS = 0.1  # maximum residual of a better interpretation, relative to the spread
 ROBOT, MARKER = "T_base_tool", "T_cam_marker"
 
 
@@ -45,7 +45,7 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
     values = numbers(limits, "limits", ShapeError)
     if values.shape != (len(usual),) or not np.all(values > 0):
         raise ShapeError(
-            f"Expected limits as {COUNTS[len(usual)]} numbers above zero ({what}), got {limits!r}. The defaults are "
+            f"Expected limits as {COUNTS[len(usual)]} positive numbers ({what}), got {limits!r}. The defaults are "
             f"{usual}."
         )
     found: Any = tuple(values.tolist())
@@ -76,25 +76,25 @@ def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence
 
 
 def largest_rotation(R: np.ndarray) -> float:
-    """Return the largest angle between two of the rotations (N, 3, 3) [rad], using at most 2000 samples."""
+    """Return the largest angle between any two rotations (N, 3, 3) [rad], using at most 2000 samples."""
     flat = R[:: 1 + len(R) // THINNED].reshape(-1, 9)
     return float(np.arccos(np.clip(0.5 * ((flat @ flat.T).min() - 1.0), -1.0, 1.0)))
 
 
 def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Separate the remarks on a fit into doubts, which are phrased as questions, and other remarks."""
+    """Return the doubts, including all remarks that end with a question mark, and the other remarks."""
     asked = (line for line in remarks if line.endswith("?"))
     return (*check.doubts, *asked), [line for line in remarks if line and not line.endswith("?")]
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
-    """Raise if a fit excludes at least half of the samples, because the remaining samples may then fit by chance."""
+    """Raise an error if a fit excludes at least half of the samples; the others may then fit by chance."""
     left, total = int(np.count_nonzero(outliers)), len(outliers)
     if 2 * left < total or not left:
         return
     raise NotConverged(
-        f"Expected mostly consistent {what}, but {left} of {total} samples were excluded. Check that sample i of all "
-        "records is simultaneous. Also check the units, the frames, and the noise if given.",
+        f"Expected mostly consistent {what}, but {left} of {total} samples were excluded. Check that sample i was "
+        "taken at the same time in all records. Also check the units, the frames, and the noise if given.",
         best=best,
         reason="mismatch",
     )
@@ -111,15 +111,15 @@ class Reading(NamedTuple):
 def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
     """Return alternative interpretations of poses; "{}" in a description stands for the name of the poses.
 
-    If both records have the wrong quaternion order, the rotations of ``A X = Y B`` still agree, because ``q_A = q_Y q_B
-    q_X^-1`` rotates the four numbers in any order. Only the positions then reveal the error.
+    If both records have the wrong quaternion order, the rotations in ``A X = Y B`` still agree, because ``q_A = q_Y q_B
+    q_X^-1`` is a 4D rotation of the components in any order. Only the positions then reveal the error.
     """
     q = quaternion.from_matrix(R)
     there, back = (quaternion.to_matrix(np.roll(q, by, -1)) for by in (1, -1))
     return [
         Reading("The quaternions of {} are x, y, z, w but were read as w, x, y, z.", there, t),
         Reading("The quaternions of {} are w, x, y, z but were read as x, y, z, w.", back, t),
-        Reading("The rotations of {} are transposed (those of the inverse poses).", R.transpose(0, 2, 1), t),
+        Reading("The rotations of {} are transposed (they belong to the inverse poses).", R.transpose(0, 2, 1), t),
     ]
 
 

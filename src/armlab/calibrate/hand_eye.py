@@ -45,20 +45,20 @@ from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
 
-LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the positions, and angle [rad]
+LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the position spread, and angle [rad]
 CLASSES = ("position [m]", "rotation [rad]")
 WHAT = "hand-eye calibration"
 COMPONENTS = ("t",) * 3 + ("R",) * 3
 SHARED = 0.3  # relative length above which a component of a direction is named
 APART = 0.5  # ratio of residual to spread above which two records are inconsistent
-COARSE = 0.03  # ratio of residual to spread that is too large for sensor noise
+COARSE = 0.03  # ratio of residual to spread too large to be sensor noise
 NOTHING, FITS_BETTER = 1e-4, 0.1  # misfit that counts as zero [rad^2]; relative misfit of a better interpretation
-FAR = 30.0  # spread [m] beyond the reach of any arm, such as 30 cm given in millimetres
+FAR = 30.0  # spread [m] beyond the reach of any arm, as when 30 cm are given in millimetres
 LATE, ENOUGH = 4.0, 12  # smallest significant time offset in standard deviations; samples needed to estimate it
 LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger ones are pairing errors
 STENCIL = 5  # number of poses of the interpolating polynomial
 PROBE, TINY = 1e-5, 1e-12  # step of a numerical derivative in samples; rounding in m or rad
-FIRST_ORDER = 0.05  # angle [rad]: a larger standard deviation is only a first-order approximation
+FIRST_ORDER = 0.05  # rad; larger standard deviations are only first-order approximations
 
 
 def fit_hand_eye(
@@ -77,29 +77,27 @@ def fit_hand_eye(
         eye_to_hand:  T_base_tool T_tool_marker    = T_base_cam T_cam_marker
         eye_in_hand:  T_base_tool^-1 T_base_marker = T_tool_cam T_cam_marker
 
-    No initial guess is needed. The order of the samples, the frames and the unit of length do not affect the result.
+    No initial guess is needed. The result does not depend on the sample order, the choice of frames or the length unit.
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the robot, N >= 3, rotated about at least two axes.
-    T_cam_marker : (N, 4, 4) poses of the marker in the camera frame.
+    T_base_tool : (N, 4, 4) robot poses, N >= 3, rotated about at least two axes.
+    T_cam_marker : (N, 4, 4) marker poses in the camera frame.
     setup : "eye_to_hand": fixed camera, marker on the tool. "eye_in_hand": camera on the tool, fixed marker.
-    noise : noise of T_cam_marker: standard deviations (of each coordinate of the position [m], of each component of the
-        rotation vector [rad]), or covariance (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes.
-        Default: estimated.
+    noise : noise of T_cam_marker: standard deviations (per position coordinate [m], per rotation vector component
+        [rad]), or covariance (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Default: estimated.
     noise_robot : noise of T_base_tool in the same forms, v in base axes, w in tool axes. It is never estimated, because
         the data cannot distinguish the two noise sources. Default: exact poses.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
-    offset : delay of the camera in samples: T_cam_marker[i] shows robot pose i - offset. Requires consecutive, evenly
-        spaced samples of a motion. Default: estimated as the last parameter if the motion determines it; it is then
-        also listed in `doubts`, because it was not given.
-    limits : largest accepted standard deviation along any direction: fraction of the spread of positions, and angle
-        [rad].
+    offset : camera delay in samples: T_cam_marker[i] shows robot pose i - offset. Requires consecutive, evenly
+        spaced samples of a motion. Default: estimated as the last parameter if the motion determines it; an estimated
+        delay is also listed in `doubts`.
+    limits : largest accepted standard deviation along any direction: fraction of the position spread, and angle [rad].
 
     Returns
     -------
     Fit of a `models.HandEye`
-        Parameters: position [m] and rotation vector [rad] of X, then of Y. The covariance is that of the errors v and w
+        Parameters: position [m] and rotation vector [rad] of X, then of Y. The covariance refers to the errors v and w
         in (R Exp(w), t + v), v in the parent's axes, w in the child's axes. Residuals (N, 6): [r_t; r_R].
 
     Raises
@@ -107,7 +105,7 @@ def fit_hand_eye(
     ShapeError : wrong shapes, rows with NaN, invalid rotations, left-handed axes.
     UnknownName : unknown setup.
     NotExcited : too few poses, or an unidentifiable direction (named in the message).
-    NotConverged : inconsistent records because of wrong pairing, inverse poses or millimetres.
+    NotConverged : inconsistent records, for example because of wrong pairing, inverse poses or millimetres.
 
     References
     ----------
@@ -132,7 +130,7 @@ def fit_hand_eye(
 def equation_of(
     T_base_tool: ArrayLike, T_cam_marker: ArrayLike, setup: str, noise: Any, noise_robot: Any
 ) -> tuple[HandEyeEquation, list[str]]:
-    """Return the validated equation, and remarks on its poses."""
+    """Return the validated equation, and remarks on the poses."""
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
     RA, tA, first = poses(T_base_tool, "T_base_tool")
@@ -152,7 +150,7 @@ def equation_of(
 def robot_side(
     R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return the rotations, positions and noise of A, which are the robot poses or, for eye-in-hand, their inverses."""
+    """Return the rotations, positions and noise of A: the robot poses or, for eye-in-hand, their inverses."""
     noise = noise if noise is not None and noise.any() else None
     if setup == "eye_to_hand":
         return R, t, noise
@@ -176,7 +174,7 @@ def full(noise: np.ndarray) -> np.ndarray:
 
 
 def rotation_sd(noise: np.ndarray | None) -> float:
-    """Return the standard deviation of a rotation component [rad] from the covariance of poses; 0 without noise."""
+    """Return the standard deviation of a rotation component [rad] from a pose covariance; 0 without noise."""
     if noise is None:
         return 0.0
     variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
@@ -205,7 +203,7 @@ class Pair(NamedTuple):
 
 
 class TimedPair(NamedTuple):
-    """Pair of poses and the delay of the camera [samples]."""
+    """Pair of poses and the camera delay [samples]."""
 
     pair: Pair
     late: float
@@ -236,13 +234,13 @@ class HandEyeEquation:
 
     @cached_property
     def spread(self) -> float:
-        """Spread of the positions [m]: the larger RMS distance from the mean of both records."""
+        """Position spread [m]: RMS distance from the mean, the larger value of the two records."""
         both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
     @cached_property
     def _near(self) -> tuple[np.ndarray, np.ndarray]:
-        """Relative indices (N, 5) of the neighbours of each pose of A, and the steps (N, 5, 6) to the neighbours."""
+        """Relative indices (N, 5) of the neighbours of each pose of A, and the steps (N, 5, 6) to them."""
         here, width = np.arange(self.N), min(STENCIL, self.N)
         near = np.clip(here - width // 2, 0, self.N - width)[:, None] + np.arange(width)
         turn = so3.log(self.RA.transpose(0, 2, 1)[:, None] @ self.RA[near])
@@ -315,7 +313,7 @@ class HandEyeEquation:
 
 
 def _solve(equation: HandEyeEquation, robust: bool) -> tuple[NonlinearSolution[Pair], np.ndarray]:
-    """Return the most likely poses and the residuals (N, 6) of all samples; raise an error with the likely cause."""
+    """Return the fit and the residuals (N, 6) of all samples; if it fails, the error names the likely cause."""
     try:
         found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
     except NotConverged as error:
@@ -331,7 +329,7 @@ def _offset(offset: Any) -> float:
     found = numbers(offset, "offset", ShapeError)
     if found.shape != () or not abs(found) <= LATEST:
         raise ShapeError(
-            f"Expected offset to be one number of samples between -{LATEST} and {LATEST}, got {offset!r}. Shift the "
+            f"Expected offset to be a number of samples between -{LATEST} and {LATEST}, got {offset!r}. Shift the "
             "records by whole samples first."
         )
     return float(found)
@@ -344,7 +342,7 @@ def _pair(found: NonlinearSolution[Any]) -> Pair:
 def _timed(
     equation: HandEyeEquation, found: NonlinearSolution[Pair], robust: bool
 ) -> NonlinearSolution[TimedPair] | None:
-    """Return the fit with the time offset of the camera, or None if the data do not determine it."""
+    """Return the fit that includes the camera delay, or None if the data do not determine the delay."""
     if equation.N < ENOUGH:
         return None
     (one,) = equation.timed(TimedPair(found.value, 0.0))
@@ -369,7 +367,7 @@ def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> 
 
 
 def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
-    """Return the standard deviation of a rotation [rad] that is given, or can be estimated before the fit."""
+    """Return the standard deviation of a rotation [rad], given or estimated before the fit."""
     if equation.noise is not None:
         return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
@@ -378,7 +376,7 @@ def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
 
 
 def _require_order(equation: HandEyeEquation, position: float, rotation: float) -> None:
-    """Raise an error if two records fit much better with another interpretation of the orientations."""
+    """Raise an error if the records fit much better with another interpretation of the orientations."""
     spread = equation.spread
     if position < SUSPECT * spread and rotation < SUSPECT:
         return
@@ -396,7 +394,7 @@ def _require_order(equation: HandEyeEquation, position: float, rotation: float) 
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Raise an error if the residuals r (N, 6) show inconsistent records; the message has the likely cause."""
+    """Raise an error if the residuals r (N, 6) show inconsistent records; the message names the likely cause."""
     position, rotation = _sizes(r[kept])
     _require_order(equation, position, rotation)
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
@@ -488,11 +486,11 @@ def _cause(equation: HandEyeEquation) -> str:
         return "Positions and rotations have opposite handedness: one axis of the camera or of the robot is reversed."
     if scale is not None:
         return f"The measured poses would fit if scaled by {scale:.3g}; perhaps millimetres were given as metres."
-    return "Check that sample i of both records is simultaneous, and check the frames of the poses."
+    return "Check that sample i was taken at the same time in both records, and check the frames of the poses."
 
 
 def _other_reading(equation: HandEyeEquation) -> str:
-    """Return the likely error in the records if rotations without the error fit much better, else an empty string."""
+    """Return the likely error in the records if correcting it greatly improves the fit of the rotations, or ""."""
     now = _misfit(equation.RA, equation.RB)
     RA, RB = equation.RA, equation.RB
     other = {
@@ -508,13 +506,13 @@ def _other_reading(equation: HandEyeEquation) -> str:
 
 
 def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
-    """Return 1 minus the largest singular value of the mean of R_A (x) R_B; it is 0 for consistent records."""
+    """Return 1 minus the largest singular value of the mean of R_A (x) R_B; 0 for consistent records."""
     still = np.zeros((len(RA), 3))
     return float(1.0 - np.linalg.svd(HandEyeEquation(RA, still, RB, still).product(), compute_uv=False)[0])
 
 
 def _scale(equation: HandEyeEquation) -> float | None:
-    """Return the factor on t_B for which the positions fit (negative for a mirror image), or None."""
+    """Return the factor on t_B that makes the positions fit (negative for a mirror image), or None."""
     RY = equation.start().RY
     turned = equation.tB @ RY.T
     A = np.concatenate([equation.RA, -turned[:, :, None], np.broadcast_to(-np.eye(3), (equation.N, 3, 3))], axis=2)
@@ -552,7 +550,7 @@ def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation
 
 
 def _sizes(r: np.ndarray) -> tuple[float, float]:
-    """Return the RMS of the residuals (N, 6) of positions [m] and rotations [rad]."""
+    """Return the RMS position [m] and rotation [rad] residuals of r (N, 6)."""
     position, rotation = np.sqrt((r**2).sum(axis=0).reshape(2, 3).sum(axis=1) / max(len(r), 1))
     return float(position), float(rotation)
 
@@ -570,7 +568,7 @@ def _result(
         J = J[:, :12] - np.outer(column, column @ J[:, :12]) / (column @ column)
         names, units, parameters = (*names, "time offset"), (*units, "samples"), np.append(parameters, by)
         late = [
-            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}; the fit corrects it. "
+            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}; the fit corrects this. "
             f"Synchronise the clocks, or pass offset={by:.2f}."
         ]
     excitation = check_spread(J, words.names, words.units, words.widths, WHAT, describe=words)

@@ -1,10 +1,10 @@
-"""Hand-eye calibration from points of a marker: LEDs of a tracker, corners of a board, one ball.
+"""Hand-eye calibration from marker points, such as tracker LEDs, board corners or a single ball.
 
     p_ik = Y^-1 A_i s_k + noise,    s_k = X l_k with a known marker
 
-Fitting the points directly is more accurate than estimating marker poses first, because the covariances of these poses
-differ. Samples with missing points also contribute. The initial guess is a linear solution of ``A_i s_k = Y p_ik`` for
-the points s_k on the tool.
+Fitting the points directly is more accurate than estimating marker poses first, because the pose covariances differ
+from sample to sample. Samples with missing points also contribute. The initial guess is a linear solution of
+``A_i s_k = Y p_ik`` for the points s_k on the tool.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ from armlab.models.sensors import FRAMES
 
 TURNED = 1e-3  # accuracy of robot orientations [rad]; smaller rotations count as zero
 APART = 0.5  # ratio of residual to spread above which two records are inconsistent
-ROUND = 0.5  # smallest ratio of singular values of a scaled rotation or mirror image
-SHAPED = 0.25  # relative difference from which two arrangements count as different
-CLEAR = 5.0  # standard deviations from which a difference is significant
-OTHER_UNIT = 2.0  # scale factor too large for the error of any camera
+ROUND = 0.5  # minimum singular value ratio of a scaled rotation or reflection
+SHAPED = 0.25  # relative difference above which two arrangements count as different
+CLEAR = 5.0  # standard deviations above which a difference is significant
+OTHER_UNIT = 2.0  # scale factor above which a wrong unit is more likely than a camera error
 
 
 def fit_hand_eye_points(
@@ -77,9 +77,9 @@ def fit_hand_eye_points(
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the robot, rotated about at least two axes.
+    T_base_tool : (N, 4, 4) robot poses, rotated about at least two axes.
     p_cam : (N, K, 3) points in camera axes [m], K >= 1; only invisible points may be NaN.
-    marker : (K, 3) points in marker axes [m], not collinear. Default: unknown; their positions on the tool are
+    marker : (K, 3) points in marker axes [m], not collinear. Default: unknown; the point positions on the tool are
         estimated.
     visible : (N, K) mask of the visible points; default: all.
     setup : as in `fit_hand_eye`.
@@ -87,8 +87,7 @@ def fit_hand_eye_points(
         estimated.
     noise_robot : noise of T_base_tool, as in `fit_hand_eye`, shared by all points of a sample. Default: exact poses.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
-    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and angle
-        [rad].
+    limits : largest accepted standard deviation along any direction: fraction of the point spread, and angle [rad].
 
     Returns
     -------
@@ -101,7 +100,8 @@ def fit_hand_eye_points(
     ShapeError : wrong shapes, NaN in visible points, invalid rotations.
     UnknownName : unknown setup.
     NotExcited : too few poses or points, or an unidentifiable direction (named in the message).
-    NotConverged : inconsistent records because of wrong pairing, inverse poses, millimetres or a left-handed camera.
+    NotConverged : inconsistent records, for example because of wrong pairing, inverse poses, millimetres or left-handed
+        camera axes.
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
@@ -155,14 +155,14 @@ def _point_model(
     never = np.flatnonzero(~seen.any(axis=0))
     if len(never):
         raise NotExcited(
-            f"Expected every point to be visible in some sample, but points {rows_text(never)} are never visible. "
+            f"Expected every point to be visible at least once, but points {rows_text(never)} are never visible. "
             "Remove these points.",
             [f"translation of point{k}" for k in never],
             ["never visible"] * len(never),
         )
     if len(RA) != len(p):
         raise ShapeError(
-            f"Expected equal numbers of robot poses and samples of points, got {len(RA)} and {len(p)}. Pair them by "
+            f"Expected equal numbers of robot poses and point samples, got {len(RA)} and {len(p)}. Pair them by "
             "time first, and mark missing points with visible=."
         )
     RA, tA, of_robot = robot_side(RA, tA, pose_noise(noise_robot, len(RA), "noise_robot"), setup)
@@ -240,7 +240,7 @@ class PointModel:
         return Linear(x[:n].reshape(-1, 3), x[n : n + 9].reshape(3, 3), misfit)
 
     def start(self) -> Points:
-        """Return the initial guess: R_Y nearest to the linear solution, with the best points and t_Y."""
+        """Return the initial guess: the R_Y nearest to the linear solution, and the points and t_Y that fit best."""
         RY, n = so3.project(self.solution.M)[0], 3 * self.K
         rows = self._rows(self.RA, 4)
         rows[:, :, n : n + 3] = -np.eye(3)
@@ -296,7 +296,7 @@ class PointModel:
     def _measured(
         self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray
     ) -> list[Measurement]:
-        """Return p - ph with its Jacobian J (m, 3, d), grouped by sample if the points share the noise of the robot."""
+        """Return p - ph with the Jacobian J (m, 3, d), grouped by sample if the points share robot noise."""
         r = self.p - ph
         if self.noise_A is None:
             return [Measurement(r, J, self.noise, ("p",) * 3, self.sample)]
@@ -330,7 +330,7 @@ class PointModel:
 
 
 def marked_start(free: Points, marker: np.ndarray) -> Pair:
-    """Return X, from fitting the marker to the points, and Y."""
+    """Return the initial guess: X from a fit of the marker to the points, and Y."""
     X = marker_pose(free.s[None], marker).T[0]
     return Pair(X[:3, :3], X[:3, 3], free.RY, free.tY)
 
@@ -343,7 +343,7 @@ def require_agreement(model: PointModel, rms: float | None = None, left_out: flo
     else:
         bad = rms > APART * model.spread or left_out >= 0.5
         cause = _other_reading(model, found.misfit) if bad or rms > SUSPECT * model.spread else ""
-        cause = cause or "Check that sample i of both records is simultaneous, and check their frames." * bad
+        cause = cause or "Check that sample i was taken at the same time in both records, and check the frames." * bad
     if cause:
         share = f", with {100 * left_out:.0f} % of the samples excluded" if left_out else ""
         raise NotConverged(
@@ -355,7 +355,7 @@ def require_agreement(model: PointModel, rms: float | None = None, left_out: flo
 
 
 def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Raise an error for a marker whose shape differs from that of the observed points."""
+    """Raise an error if the shape of the marker differs from the observed points."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -369,10 +369,10 @@ def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None
     if turned > (1.0 - SHAPED**2) * seen * given and abs(np.log(times)) > np.log(OTHER_UNIT):
         cause = f"The marker would fit if scaled by {times:.3g}; perhaps millimetres were given as metres."
     elif hand < 0 and turned > (1.0 - SHAPED**2) * seen * given:
-        cause = "Its mirror image would fit, so one axis of the marker is reversed."
+        cause = "The mirror image of the marker would fit: one marker axis is reversed."
     raise NotConverged(
         "Expected a marker with the same arrangement as the observed points, got residuals of "
-        f"{apart / np.sqrt(model.K):.3g} m (RMS), although they spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
+        f"{apart / np.sqrt(model.K):.3g} m (RMS) for points spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
         best=s,
         reason="mismatch",
     )
@@ -392,7 +392,7 @@ def _unit_or_hand(model: PointModel, found: Linear) -> str:
 
 
 def _other_reading(model: PointModel, now: float) -> str:
-    """Return the likely error in the poses if a fit without this error is much better, otherwise an empty string."""
+    """Return the likely error in the poses if correcting it greatly improves the fit, otherwise an empty string."""
     N = len(model.tA)
     inverse = model.RA.transpose(0, 2, 1)
     other = {

@@ -13,7 +13,7 @@ from armlab.lie import so3
 
 
 def finite(values: np.ndarray, name: str) -> None:
-    """Raise an error for NaN and infinity, and list the rows."""
+    """Raise an error that lists the rows with NaN or infinity."""
     if not np.isfinite(values).all():
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         raise ShapeError(
@@ -59,18 +59,18 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     if wrong.any():
         raise ShapeError(
             f"Expected rotations in {name}, got matrices off by up to {off.max():.2g} in rows "
-            f"{rows_text(np.flatnonzero(wrong))}. Project them with lie.so3.project if they are meant as rotations."
+            f"{rows_text(np.flatnonzero(wrong))}. Project them with lie.so3.project if they are meant to be rotations."
         )
     mirrored = np.flatnonzero(np.linalg.det(R) < 0)
     if len(mirrored):
         raise ShapeError(
             f"Expected rotations in {name}, got left-handed axes in rows {rows_text(mirrored)}. "
-            "One axis of that frame is reversed."
+            "One axis of the frame is reversed."
         )
     note, near = "", off > so3.NEGLIGIBLE
     if near.any():
         R = so3.orthonormalise(R)
-        note = f"{np.count_nonzero(near)} rotations of {name} were projected, off by up to {off.max():.2g}"
+        note = f"{np.count_nonzero(near)} rotations in {name} were off by up to {off.max():.2g} and were projected"
     return R, note
 
 
@@ -85,13 +85,13 @@ def gravity_of(gravity: Any) -> np.ndarray:
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
-    """Return variances (6,) or a covariance (6, 6) or (N, 6, 6) of poses, which may be zero; None without noise."""
+    """Return pose variances (6,) or covariances (6, 6) or (N, 6, 6), which may be zero; None without noise."""
     wanted = "poses as (sd of position [m], sd of rotation [rad])"
     return noise_of(noise, 2, (N,), name, wanted, "Pass one number in metres and one in radians.", zero=True)
 
 
 def point_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return variances (3,) or a covariance (3, 3) or (*shape, 3, 3) of points; None without noise."""
+    """Return point variances (3,) or covariances (3, 3) or (*shape, 3, 3); None without noise."""
     return noise_of(noise, 1, shape, "noise", "points as one standard deviation above zero [m]")
 
 

@@ -1,11 +1,11 @@
-"""Model of a laser line on flat plates: residuals in the laser plane with Jacobian.
+"""Model of a laser line on flat plates: residuals in the laser plane, with Jacobian.
 
 With g = R_i^T n, c = R_X^T g, h = d - n.t_i - g.t_X and k = hypot(c_x, c_y):
 
     e1 = (c_x p_x + c_y p_y - h) / k [m],        e2 = asin((c_x l_x + c_y l_y) / k) [rad]
 
-The initial guesses are solutions of one linear system per plate, then the rotations of a cube, then random rotations.
-Errors name the directions that the scans do not determine, or the likely cause of a misfit.
+Initial guesses come from one linear system per plate, then from the rotations of a cube, then from random rotations.
+Errors name the undetermined directions or the likely cause of a misfit.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import quaternion, so3
 
 TINY = 1e-12
-ENOUGH = 15  # scans of a plate needed for a linear initial guess
+ENOUGH = 15  # scans per plate needed for a linear initial guess
 RESTARTS = 20  # random rotations
-PRODUCT = 0.3  # ratio of the second to the first singular value beyond which a matrix is not a product
-LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the points, and angle [rad]
+PRODUCT = 0.3  # ratio of the second to the first singular value above which a matrix is not nearly rank one
+LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the point spread, and angle [rad]
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is unusable
 SHAKEN = 1e-3  # accuracy of robot orientations [rad]; smaller rotations count as zero
-UNITS, FAR = 2.0, 20.0  # ratios of length units beyond which the ratio is reported, or no fit is tried
-ROUGH = 0.1  # ratio of the residual to the spread of the points beyond which scans are inconsistent
-FAR_APART = 30.0  # spread [m] larger than any cell, such as 30 cm given in millimetres
-TURNED = 0.2  # residual angle [rad] beyond which scans are inconsistent
+UNITS, FAR = 2.0, 20.0  # ratios of length units above which the ratio is reported, and above which no fit is tried
+ROUGH = 0.1  # ratio of the residual to the spread of the points above which scans are inconsistent
+FAR_APART = 30.0  # spread [m] larger than any robot cell, as when 30 cm are given in millimetres
+TURNED = 0.2  # residual angle [rad] above which scans are inconsistent
 
 
 class Scene(NamedTuple):
@@ -53,7 +53,7 @@ class Scene(NamedTuple):
         return Scene(self.R @ so3.exp(x[3:6]), self.t + x[:3], n, self.d + tilts[:, 2])
 
     def oriented(self) -> Scene:
-        """Return the scene with normals that point away from the origin."""
+        """Return the scene with normals pointing away from the origin."""
         sign = np.where(self.d < 0, -1.0, 1.0)
         return Scene(self.R, self.t, self.n * sign[:, None], self.d * sign)
 
@@ -102,13 +102,13 @@ class Scans:
         return 2 * self.N if self.points is None else len(self.points)
 
     def seen(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return g and c (N, 3) and h (N,) of the equations above."""
+        """Return g and c (N, 3) and h (N,) as defined in the module docstring."""
         n = scene.n[self.plane]
         g = np.einsum("nij,ni->nj", self.RA, n)
         return g, g @ scene.R, scene.d[self.plane] - np.sum(n * self.tA, axis=1) - g @ scene.t
 
     def evaluate(self, scene: Scene) -> list[Measurement]:
-        """Return the distances of the points from the plate in the laser plane, and the angles of the lines.
+        """Return the point distances from the plate in the laser plane, and the line angles.
 
         With a = p - e1 c / k and b = (-c_y, c_x) / k^2, de1 = (a . dc - dh) / k and de2 = +- b . dc.
         """
@@ -163,7 +163,7 @@ class Scans:
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
-    """Yield groups of initial guesses, best first; `ratio` is the SD of the points divided by the SD of the angles."""
+    """Yield groups of initial guesses, best first; `ratio` is the point SD divided by the angle SD."""
     linear = [R for j in range(scans.P) for R in linear_rotations(scans, j, ratio)[0]]
     if linear:
         yield _sorted(scans, linear, ratio)
@@ -189,7 +189,7 @@ def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Sce
 
 
 def linear_rotations(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
-    """Return rotations from the scans of plate j, and the ratio of the length units of scans and poses (1 if unknown).
+    """Return rotations from the scans of plate j, and the ratio of scan to pose length units (1 if unknown).
 
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
@@ -212,7 +212,7 @@ def linear_rotations(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarra
         r1, r2 = (U @ W).T
         found.append(np.stack([r1, r2, np.cross(r1, r2)], axis=1))
     size = float(np.linalg.norm(z[27:30]))
-    known = size > 0 and s[1] < PRODUCT * s[0]  # the matrices are nearly products
+    known = size > 0 and s[1] < PRODUCT * s[0]  # the matrix is nearly rank one
     return found, float(s[0] / np.sqrt(2.0) / size) if known else 1.0
 
 
@@ -277,16 +277,16 @@ class SceneUnknowns:
 
 
 def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
-    """Raise an error for too few scans, and on orientations that do not determine the position of the sensor."""
+    """Raise an error for too few scans, and for orientations that do not determine the sensor position."""
     needed = 7 + 3 * scans.P
     few = [str(planes[j]) for j in range(scans.P) if np.count_nonzero(scans.plane == j) < 2]
     if scans.numbers < needed or few:
         where = f"planes {', '.join(few)} with only one scan" if few else f"{scans.N} scans"
         raise NotExcited(
-            f"Expected at least {needed} numbers and two scans of each of {scans.P} planes, got {scans.numbers} "
-            f"numbers from {where}. Scan each plate from many directions.",
+            f"Expected at least {needed} values and two scans of each of {scans.P} planes, got {scans.numbers} "
+            f"values from {where}. Scan each plate from many directions.",
             [where],
-            [f"{scans.numbers} of {needed} numbers"],
+            [f"{scans.numbers} of {needed} values"],
         )
     require_two_axes(scans.RA, SHAKEN, "tool", ("the sensor", "every plane"))
 
@@ -317,7 +317,7 @@ def _unit(scans: Scans, ratio: float) -> float:
 def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConverged:
     """Return the error, with the likely cause, for scans that cannot be fitted from any initial guess."""
     size = _unit(scans, ratio)
-    cause = "Check the plate labels and that scan i and pose i are simultaneous, or detect outliers with robust=True."
+    cause = "Check the plate labels and the pairing of scans and poses, or detect outliers with robust=True."
     if not 1.0 / UNITS < size < UNITS:
         cause = f"The scans would fit with lengths scaled by {size:.2g}."
         if not 1.0 / FAR < size < FAR:

@@ -1,12 +1,12 @@
-"""Calibration of a laser line scanner from flat plates: its pose on the tool and the planes of the plates.
+"""Calibration of a laser line scanner from flat plates: scanner pose on the tool, and plate planes.
 
 Maximum-likelihood estimate from lines or raw profiles in the laser plane (residuals: `laser_model`). No initial guess
-is needed, and plates may pass through the origin. For the problem, see Bagge Carlson, Johansson and Robertsson (2015).
+is needed, and plates may pass through the origin. Problem statement: Bagge Carlson, Johansson and Robertsson (2015).
 
 The best initial guess of each group is fitted first. If the fit is inconsistent with the noise, every initial guess of
-the group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, with rho scaled by the median
-residual, so that unknown noise and outliers have little effect. The two best results are then fitted to convergence.
-This limits the computing time for scans that cannot be fitted.
+the group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans. Scaling rho by the median
+residual makes these steps robust to unknown noise and outliers. Only the two best results are then fitted to
+convergence, which limits the computing time for scans that cannot be fitted.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from armlab.lie import se3, so3
 from armlab.models import LaserSensor
 
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
-FAT = 0.2  # ratio of width to length beyond which a profile is not a line
+FAT = 0.2  # ratio of width to length above which a profile is not a line
 SCHEDULE = (100.0, 30.0, 10.0, 5.0)
 REFUSED = 1e-4  # p-value of chi^2 below which a fit is rejected
-MANY = 0.35  # fraction of outliers from which another initial guess is tried
-STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # short descent: maximum steps, c, last step in standard deviations
+MANY = 0.35  # fraction of outliers above which another initial guess is tried
+STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # short descent: maximum steps, c, step at convergence in standard deviations
 BEST, WORSE, SAME = 2, 5.0, 1e-3  # per group: number of fits, largest ratio to the best, smallest relative difference
 LOST = 1.5  # residual [rad] of angles and scaled points beyond which no fit is tried; wrong labels leave 2 to 8 rad
 CLEAR = (2e-3, 0.03)  # ratio of residual to spread of the points, and angle [rad], below which no other guess is tried
-HELD = 0.6  # leverage of a scan, per number, from which it is suspicious
+HELD = 0.6  # leverage per residual above which a scan is suspicious
 TINY = 1e-12  # rounding [m or rad]
 FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # failures of a descent
 
@@ -73,22 +73,21 @@ def fit_laser_plane(
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the tool, rotated about at least two axes.
+    T_base_tool : (N, 4, 4) tool poses, rotated about at least two axes.
     scans : lines (N, 4), each a point and a unit direction of either sign in the laser plane (x, y) [m]; or N raw
-        profiles of a plate, each of points (K, 2) [m].
-    plane : (N,) label of the plate of each scan. One plate is sufficient, three are better.
+        profiles, each with the points (K, 2) on a plate [m].
+    plane : (N,) plate label of each scan. One plate is sufficient; three are better.
     noise : for lines, standard deviations of points [m] and of angles [rad]; for raw points, one standard deviation
         [m]. Default: estimated.
-    start : (4, 4) approximate T_tool_sensor; default: found by a search.
+    start : (4, 4) approximate T_tool_sensor; default: found by global search.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
-    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and angle
-        [rad].
+    limits : largest accepted standard deviation along any direction: fraction of the point spread, and angle [rad].
 
     Returns
     -------
     Fit of a `models.LaserSensor`
         Parameters: position [m] and rotation vector [rad] of T_tool_sensor, then two tilts [rad] and the offset [m] of
-        each plane; tilts are relative to the fitted normal. The covariance of the pose is that of v and w in
+        each plane; tilts are relative to the fitted normal. The pose covariance refers to v and w in
         (R Exp(w), t + v), v in tool axes, w in sensor axes. Residuals (N, 2) in the laser plane: distance [m], angle
         [rad]; for raw profiles (M, 1).
 
@@ -96,7 +95,7 @@ def fit_laser_plane(
     ------
     ShapeError : wrong shapes, rows with NaN, invalid rotations; a plate parallel to the laser plane.
     NotExcited : too few scans, or an unidentifiable direction (named in the message).
-    NotConverged : no initial guess gives a fit consistent with the noise, because of wrong labels, pairing or units.
+    NotConverged : no initial guess gives a consistent fit, for example because of wrong labels, pairing or units.
 
     References
     ----------
@@ -207,7 +206,7 @@ def _profile_noise(noise: Any, count: int) -> np.ndarray | None:
 
 
 def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolution[Scene]:
-    """Return the first fit consistent with the given noise, or, for unknown noise, the best of all fits."""
+    """Return the first fit consistent with the given noise or, if the noise is unknown, the best of all fits."""
     ratio = _ratio(scans)
     size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)
@@ -220,7 +219,7 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
             if best is None or _rank(scans, found, size, robust) < _rank(scans, best, size, robust):
                 best = found
         if best is not None and len(group) > 1 and scans.noise is None and _is_clear(scans, best):
-            break  # a single guess would not be sufficient
+            break  # a group with a single guess does not end the search
     if best is None or scans.noise is not None:
         text = "no convergence"
         if best is not None:
@@ -246,7 +245,7 @@ def times(found: NonlinearSolution[Scene]) -> float:
 
 
 def _ratio(scans: Scans) -> float:
-    """Return the SD of points divided by the SD of angles [m/rad], which is the spread of a scan along its line."""
+    """Return the point SD divided by the angle SD [m/rad]: from the noise of lines, else from the point spread."""
     if scans.points is not None:
         off = scans.points - scans.p[scans.owner]
         return float(np.sqrt(np.median(np.bincount(scans.owner, np.sum(off * off, axis=1)) / np.bincount(scans.owner))))
@@ -299,7 +298,7 @@ def _approached(scans: Scans, scene: Scene) -> Scene:
 
 
 def _left(scans: Scans, scene: Scene, size: float) -> float:
-    """Return the size of the residuals of a scene [rad]: median of the scaled points plus median of the angles."""
+    """Return the residual size of a scene [rad]: median scaled point residual plus median angle residual."""
     r = np.median(np.abs(scans.residuals(scene)), axis=0)
     left = float(r[0] / size + np.sum(r[1:]))
     return left if np.isfinite(left) else np.inf
@@ -313,7 +312,7 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
 
 
 def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
-    """Return the fit, or a better fit that starts without one of the scans with high leverage."""
+    """Return the fit, or a better fit started without one of the high-leverage scans."""
     held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
     numbers = np.bincount(found.rows.sample, minlength=scans.N)
     strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
@@ -343,7 +342,7 @@ def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
 
 
 def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bool) -> float:
-    """Return the criterion to minimise: chi^2 for given noise, otherwise the size of the residuals."""
+    """Return the criterion to minimise: chi^2 for given noise, otherwise the residual size."""
     if scans.noise is not None:
         return float(found.outliers.sum()) + times(found) if robust else found.cost
     if robust:
@@ -352,7 +351,7 @@ def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bo
 
 
 def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
-    """Raise an error for residuals larger than the errors of any scanner."""
+    """Raise an error for residuals larger than any scanner error."""
     size, spread = float(found.sigma[0]), scans.spread(found.value)
     turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
     if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:

@@ -1,8 +1,8 @@
 """The command `armlab`: one verb per task.
 
-Commands are named by import string, so that ``armlab --help`` imports none of them.
-Results go to standard output, messages to standard error. Exit codes: 0 success, 1 failure, 2 usage error, 3 poor
-result or skipped inputs, 130 interrupted.
+Commands are registered by import string, so ``armlab --help`` imports none of them. Results go to standard output,
+messages to standard error. Exit codes: 0 success, 1 failure, 2 usage error, 3 poor result or skipped inputs, 130
+interrupted.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _COMMANDS = {
     "plot": ("plot:plot", "Plot logs, models, robots and movement primitives."),
     "bridge": ("bridge:bridge", "Run a cell: robots, parameters, and servers for LabComm and other protocols."),
     "monitor": ("bridge:monitor", "Monitor a running bridge: rates, round trips, clamps, commander, events."),
-    "view": ("view:view", "Show the arms, forces and curves of logs or of a running bridge in the browser."),
+    "view": ("view:view", "Show arms, forces and curves from logs or a running bridge in the browser."),
     "fleet": ("fleet:fleet", "Manage many robots: router, recorder, status list, batch jobs."),
     "log": ("log:log", "Show, export, cut, resample, merge, open and repair logs."),
     "config": ("config:config", "Show the settings from files, the environment and the cell. Writes nothing."),
@@ -81,7 +81,7 @@ _EXAMPLES = {  # examples of commands without subcommands
 
 
 def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
-    """Return the application; of its commands, only the requested one, `verb`, is imported to provide its help."""
+    """Return the application. Only the requested command, `verb`, is imported, to provide its help text."""
     from cyclopts import App, Parameter
 
     from armlab import __version__
@@ -89,7 +89,7 @@ def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
     app = App(
         name="armlab",
         version=__version__,
-        help="A robotics laboratory for robot arms. First steps: armlab demo.",
+        help="A robotics laboratory for robot arms. To get started, run armlab demo.",
         help_epilogue="Every command takes --help. --debug shows the traceback of an error. A robot is a library "
         "name, a description file (.toml or .urdf), or a name from robot_descriptions or example-robot-data (extra "
         "`robots`). Every command that takes a URDF also takes --tip LINK, --base LINK and --lock JOINT=VALUE.",
@@ -108,7 +108,7 @@ def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    Errors are one sentence on standard error; ``--debug`` adds the traceback.
+    Each error is printed as one sentence on standard error; ``--debug`` adds the traceback.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _report(error: Exception) -> int:
         _say(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}.")
     else:
         _say(f"internal error, {type(error).__name__}: {error} (--debug shows the traceback; please report it).")
-    # Unknown names, and models of another type or another arm, are usage errors like an invalid option.
+    # Unknown names and models of the wrong type or arm are usage errors, like invalid options.
     return WRONG_USE if isinstance(error, (ConfigError, ModelMismatchError, UnknownName)) else FAILED
 
 
@@ -186,9 +186,9 @@ def _short_warnings() -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
-    """Treat SIGTERM and a closed terminal like Ctrl-C; yields the list of received signals.
+    """Treat SIGTERM and a closed terminal like Ctrl-C; yield the list of received signals.
 
-    When such a signal arrives, logs are closed and simulators are stopped.
+    Logs are thus closed and simulators are stopped.
     """
     came: list[int] = []
 
@@ -236,7 +236,7 @@ def _default() -> Any:
 
 
 def _wrapped(shown: Any) -> Any:
-    """Join the lines of each paragraph of a displayed text; keep empty lines, lists and indented lines."""
+    """Join the lines of each paragraph of a help text; keep blank lines, lists and indented lines."""
     from rich.text import Text
 
     text = getattr(shown, "primary_renderable", None)

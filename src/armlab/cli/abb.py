@@ -21,14 +21,12 @@ if TYPE_CHECKING:
 abb: App = App(
     name="abb",
     help="Set up an ABB controller via Robot Web Services: program, motors, RAPID. RobotWare 6 and 7.",
-    help_epilogue="User and password are read from ARMLAB_RWS_USER and ARMLAB_RWS_PASSWORD; otherwise armlab prompts "
+    help_epilogue="The user name and password are read from ARMLAB_RWS_USER and ARMLAB_RWS_PASSWORD, or armlab prompts "
     "for the password. Exit codes: 0 success, 1 not ready or refused (with the reason), 3 success with warnings.",
 )
 
 Insecure = Annotated[bool, Parameter(help="Accept any TLS certificate; use this only on a private network.")]
-Ca = Annotated[
-    Path | None, Parameter(help="File with the certificate of the controller or of its certificate authority.")
-]
+Ca = Annotated[Path | None, Parameter(help="Certificate file of the controller or its certificate authority.")]
 DryRun = Annotated[bool, Parameter(help="Check and list the steps without changing anything.")]
 Tasks = Annotated[
     list[str] | None,
@@ -40,7 +38,7 @@ Tasks = Annotated[
 
 
 def connected(host: str, insecure: bool, ca: Path | None) -> AbbController:
-    """Return the controller at a host, with the password from the environment or a prompt."""
+    """Return the controller at a host; the password is read from the environment or prompted for."""
     from armlab.bridge.rws import Credentials, open_controller
 
     ask = getpass.getpass if sys.stdin.isatty() else None
@@ -134,7 +132,7 @@ def stop(host: str, *, dry_run: DryRun = False, insecure: Insecure = False, ca: 
 
 
 def _module(task: str, folder: Path | None) -> str:
-    """Return the text of a task's guidance module, from the user's folder if present, otherwise from armlab."""
+    """Return the source of a task's guidance module: the user's version if present, otherwise armlab's."""
     from armlab.bridge.rws import PROGRAMS
     from armlab.cli.support.settings import read_text
 

@@ -102,7 +102,7 @@ def release(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge resume")
 def resume(*, cell: Cell = "") -> None:
-    """End a stop, so that the arms can be commanded again."""
+    """End a stop: the arms accept commands again."""
     from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
@@ -110,7 +110,7 @@ def resume(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge certificates lab/ --host 192.168.1.5")
 def certificates(folder: Path, *, host: list[str] | None = None) -> None:
-    """Create certificates, users and passwords for commanding a bridge over Zenoh from other computers.
+    """Create certificates, users and passwords for commanding a bridge from other computers over Zenoh.
 
     Parameters:
         folder: Output folder. Secret files are readable only by you.
@@ -128,7 +128,7 @@ def _operate(request: Request, cell: str) -> None:
 
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
-    """Return the next message of a kind; raise if the bridge refuses the request."""
+    """Return the next message of this kind; raise an error if the bridge refuses the request."""
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         message = feed.receive()
@@ -148,8 +148,10 @@ def _setting(word: str) -> tuple[str, Any]:
         return name, parsed(f"x = {value}")["x"]
     except TomlError:
         if _WHOLE.fullmatch(value):
-            raise ConfigError(f"Expected a 64-bit integer, got {word[:80]!r}. Write larger numbers as 1e20.") from None
-        return name, value  # text without quotes
+            raise ConfigError(
+                f"Expected a 64-bit integer, got {word[:80]!r}. Write larger numbers as floats, such as 1e20."
+            ) from None
+        return name, value  # unquoted text
 
 
 _DAYS = "3650"
@@ -157,7 +159,7 @@ _CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
 
 
 def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
-    """Write a lab's certificate authority, the certificate and key of a bridge, and users with their passwords.
+    """Write a lab's certificate authority, a bridge's certificate and key, and the users' passwords.
 
     ``lab.pem`` is public. ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and the lab's router).
     ``USER.secret`` is for that user only. ``lab.key`` signs the certificates of further bridges and stays private. Only
@@ -176,7 +178,7 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
             _certify(key, certificate, "-subj", "/CN=armlab lab", "-addext", "basicConstraints=critical,CA:TRUE")
         return written + _bridge(folder, names) + _users(folder)
     except OSError as error:
-        raise ConfigError(f"Expected a folder to write certificates to, but {error}.") from None
+        raise ConfigError(f"Expected a writable folder for the certificates, but {error}.") from None
     finally:
         os.umask(before)
 
@@ -240,11 +242,11 @@ def _openssl(*words: str) -> None:
         run = subprocess.run(["openssl", *words], capture_output=True, text=True, check=False, timeout=60.0)
     except FileNotFoundError:
         raise ConfigError(
-            "Expected the program openssl on the PATH to write certificates, but it is not installed. Install it."
+            "Expected the program openssl on the PATH to create certificates, but it is not installed. Install it."
         ) from None
     if run.returncode:
         raise ConfigError(
-            f"Expected openssl to write a certificate, but it reported: {' '.join(run.stderr.split())[:300]}."
+            f"Expected openssl to create a certificate, but it reported: {' '.join(run.stderr.split())[:300]}."
         )
 
 
@@ -306,7 +308,7 @@ def _hear(feed: Any, watch: Watch, seconds: float) -> None:
 
 
 def table(watch: Watch, now_ns: int) -> RenderableType:
-    """Return a table with one column per arm, and the state of the recording and the events below it."""
+    """Return a table with one column per arm, followed by the recording state and the events."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

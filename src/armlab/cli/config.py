@@ -17,7 +17,7 @@ config: App = App(name="config", help="Show the settings from files, the environ
 def show(*, config: Path | None = None, origin: bool = False, json: bool = False) -> None:
     """Show all settings, and all values of a cell.
 
-    The sources of a setting are, in order of precedence: a command-line option, an environment variable such as
+    In order of precedence, the sources of a setting are a command-line option, an environment variable such as
     ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), and the default.
 
     Parameters:
@@ -62,7 +62,7 @@ def _written(value: Any) -> str:
 
 
 def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
-    """Print the completion script of a shell for commands, options and values. Install the script with one line:
+    """Print a shell completion script for commands, options and values. To install it, run one of these lines:
 
     - bash: armlab completion bash > ~/.local/share/bash-completion/completions/armlab
     - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath

@@ -35,12 +35,12 @@ FREE = 10.0  # s, free motion below half speed
 WALK = 1.5  # s between motions
 SETTLE = 1.5  # s of motion before the first press and after the last
 HOLD, RAMP, GAP = 1.0, 0.1, 0.3  # s, per press
-LAG = 0.1  # s, lag of the estimate after a change of force
+LAG = 0.1  # s, lag of the estimate after a force change
 REST = 3.6  # s at rest at the end
 SWAY = math.radians(2.0)  # rad or m
 UNIT = 1.35  # N, force unit of a YuMi; scales the presses and targets of other arms
 TORQUE_ERROR = 0.01  # relative to each torque limit; the force unit is the resulting force error
-SEES = 30.0  # largest ratio of force errors between observable axes
+SEES = 30.0  # maximum ratio of force errors between observable axes
 AXES = "xyz"
 PRESSES: tuple[tuple[str, int, float], ...] = (
     *((f"{sign}{name}", axis, force) for axis, name in enumerate(AXES) for sign, force in (("+", 5.0), ("-", -5.0))),
@@ -52,8 +52,8 @@ PRESSES: tuple[tuple[str, int, float], ...] = (
 def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
     """Return the RMS force error [N] caused by 1 % torque errors at home, and the mask (3,) of observable axes.
 
-    The variances are the diagonal of ``(J W Jᵀ)⁻¹``, where W has the inverse squares of 1 % of the torque limits. With
-    fewer than six joints, J is the Jacobian of the tool point alone, because the contact is a pure force.
+    The variances are the diagonal of ``(J W Jᵀ)⁻¹``, where W is diagonal, with the inverse squares of 1 % of the torque
+    limits. With fewer than six joints, J is the Jacobian of the tool point alone, because the contact is a pure force.
     """
     import numpy as np
 
@@ -68,7 +68,7 @@ def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Plan:
-    """Motions and presses of the demo. Times are seconds of guidance time in the second run."""
+    """Motions and presses of the demo. Times are guidance times of the second run [s]."""
 
     excitation: Trajectory  # motion of the first run
     test: Trajectory  # motion of the second run
@@ -76,7 +76,7 @@ class Plan:
     free: tuple[float, float]  # window of free motion
     sway: tuple[float, float]  # window of presses during small motion
     rest: tuple[float, float]  # window of a press at rest
-    times: np.ndarray  # (K,) corners of the operator's wrench
+    times: np.ndarray  # (K,) breakpoints of the operator's wrench
     wrenches: np.ndarray  # (K, 6)
     scale: float = 1.0  # scale of presses and targets: ratio of the force unit to that of a YuMi
     seen: tuple[bool, ...] = (True, True, True)  # observable axes
@@ -139,10 +139,10 @@ def demo(
     robot: str = "yumi_right",
     output: OptionalOutput = None,
 ) -> int:
-    """Run the whole workflow on a simulated YuMi, from excitation to the estimation of a hand's force.
+    """Run the whole workflow on a simulated YuMi, from excitation to contact-force estimation.
 
     --robot selects another arm whose description has masses; its torque limits scale the forces and targets.
-    The command ends with status 1 if an estimate misses its target.
+    The exit status is 1 if an estimate misses its target.
 
     Parameters:
         fast: Run in lockstep, as fast as the computer can, instead of in real time.
@@ -162,7 +162,7 @@ def demo(
         outcome = rehearse(robot, seed, folder, fast, view)
     except LinkError:  # the loop was late, or the arm was far behind its reference
         if not fast:
-            note("A demo in real time requires an idle computer; armlab demo --fast runs the same demo in lockstep.")
+            note("The real-time demo requires an idle computer; armlab demo --fast runs the same demo in lockstep.")
         raise
     verdict = judge(outcome["estimate"], outcome["plan"])
     (folder / "identify.txt").write_text(outcome["fit"].report() + "\n")
@@ -170,7 +170,7 @@ def demo(
     shares = 100.0 * quality.rms_cv / quality.torque_sd
     result(
         f"identified from {quality.seconds:.0f} s of motion: held-out residual {shares.min():.1f} to "
-        f"{shares.max():.1f} % of the torque's standard deviation (identify.txt)\n"
+        f"{shares.max():.1f} % of the torque standard deviation (identify.txt)\n"
     )
     result(verdict.text())
     report = outcome["run"].report().splitlines()
@@ -198,7 +198,7 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     with ExitStack() as stack:
         cell = f"demo-{os.getpid()}" if view else ""
         if view:
-            line = stack.enter_context(beside(cell, robot_name))  # in a separate process, which cannot delay the run
+            line = stack.enter_context(beside(cell, robot_name))  # a separate process cannot delay the run
             result(line)
             sys.stdout.flush()
             if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
@@ -245,7 +245,7 @@ MAX_RMS = 1.5  # N per axis, with contact and in free motion; multiplied by the 
 PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # N, N m, prior of the estimator; multiplied by max(scale, 1)
 MAX_PRESS_ERROR = 0.15  # mean error during a press, relative to the weight
 COVERAGE = (0.85, 0.99)
-MAX_HOLES = 0.02  # largest share of cycles without an estimate; a busy computer misses some cycles
+MAX_HOLES = 0.02  # maximum fraction of cycles without an estimate; a busy computer misses some cycles
 
 
 @dataclass(frozen=True)
@@ -256,10 +256,10 @@ class DemoVerdict:
     presses: tuple[dict[str, Any], ...]
     rms: np.ndarray  # (3,) RMS error on observable axes while the operator acts [N]
     free_rms: np.ndarray  # (3,) RMS error in free motion on observable axes [N]
-    coverage: float  # share of forces inside 2 sigma during presses and motion
-    rest_inside: float  # share of forces inside 2 sigma at rest
+    coverage: float  # fraction of forces inside 2 sigma during presses and motion
+    rest_inside: float  # fraction of forces inside 2 sigma at rest
     rest_band: np.ndarray  # (3,) mean 2-sigma band at rest [N]
-    holes: float  # share of cycles without an estimate
+    holes: float  # fraction of cycles without an estimate
     bar: float = MAX_RMS  # target of the RMS errors [N]
     seen: tuple[bool, ...] = (True, True, True)
 
@@ -309,7 +309,7 @@ class DemoVerdict:
 def judge(table: Table, plan: Plan) -> DemoVerdict:
     """Compare the recorded live estimate with the operator's forces.
 
-    Cycles without an estimate are ignored; a share above MAX_HOLES counts as a missed target.
+    Cycles without an estimate are ignored; a fraction above MAX_HOLES counts as a missed target.
     """
     import numpy as np
 

@@ -32,7 +32,7 @@ def doctor(
     port: str | None = None,
     seconds: float = 5.0,
     rws: str | None = None,
-    insecure: Annotated[bool, Parameter(help="Accept any TLS certificate of the controller.")] = False,
+    insecure: Annotated[bool, Parameter(help="Accept any TLS certificate from the controller.")] = False,
     ca: Path | None = None,
     json: Json = False,
 ) -> int:
@@ -47,7 +47,7 @@ def doctor(
         seconds: Listening time [s].
         rws: Address of the ABB controller. With this option, the command also reports why EGM is not running, like
             armlab abb status.
-        ca: File with the certificate of the controller or of its certificate authority.
+        ca: Certificate file of the controller or its certificate authority.
     """
     from armlab.bridge.doctor.report import LONGEST, examine
 

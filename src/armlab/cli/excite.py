@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
 
-SPEED = 0.6  # share of the speed limits
-_FOR = "designed for "  # followed by robot and hash in the source of a motion
+SPEED = 0.6  # fraction of the speed limits
+_FOR = "designed for "  # followed by robot and hash, in the source of a motion
 _ROUNDING = 1e-6  # rad or m, tolerance at the limits for a saved motion
 ROUNDS = 300  # iterations of the search for the most informative motion
 
@@ -78,8 +78,8 @@ def excite(
 ) -> int:
     """Design an excitation trajectory of a robot; optionally run it and record a log.
 
-    Prints the predicted uncertainty of each group of parameters. The motion respects the position, speed and
-    acceleration limits in the robot file, but ignores obstacles: view it before you run it.
+    Prints the predicted uncertainty of each parameter group. The motion respects the position, speed and acceleration
+    limits in the robot file, but ignores obstacles: view it before you run it.
 
     Parameters:
         robot: Name in the library, or a robot file.
@@ -145,7 +145,7 @@ def excite(
 
 
 def _saved(path: Path, robot: Robot, force: bool) -> Table:
-    """Return the saved motion; refuse a motion designed for or recorded with another robot."""
+    """Return the saved motion; reject a motion designed for or recorded with another robot."""
     from armlab.cli.support.log_input import by_force, check_log
     from armlab.robots.comparison import check_same
 
@@ -161,7 +161,7 @@ def _saved(path: Path, robot: Robot, force: bool) -> Table:
 
 
 def _check_masses(robot: Robot, url: str) -> None:
-    """Refuse to excite a simulated arm without masses, which reports no torques."""
+    """Reject a simulated arm without masses, because it reports no torques."""
     from armlab.sim.arm.truth import no_masses
 
     if url.startswith("sim:") and (why := no_masses(robot)):
@@ -191,7 +191,7 @@ def _data(expected: PredictedUncertainty) -> dict[str, Any]:
 
 
 def _check_positions(robot: Robot, table: Table) -> None:
-    """Refuse a motion that exceeds the position limits of this arm."""
+    """Reject a motion that exceeds the position limits of this arm."""
     import numpy as np
 
     q = table["q"]
@@ -209,7 +209,7 @@ def _check_positions(robot: Robot, table: Table) -> None:
 
 
 def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
-    """Refuse a motion that exceeds the `speed` setting, unless --speed is given."""
+    """Reject a motion that exceeds the `speed` setting, unless --speed is given."""
     import numpy as np
 
     from armlab.cli.support.settings import load_settings

@@ -155,7 +155,7 @@ def _wait(seconds: float | None) -> None:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Job:
-    """Options common to the commands for many logs.
+    """Options common to all batch commands.
 
     Attributes:
         robot: Library name or robot file; default: the robot named by the recordings.
@@ -185,7 +185,7 @@ class Job:
                 return load_robot(armlab.log.inspect(log).metadata["armlab"]["robot"])
             except (ArmlabError, OSError, KeyError):
                 continue
-        raise ConfigError("Expected recordings that name a library robot, got none. Give --robot.")
+        raise ConfigError("Expected recordings that name a library robot, got none. Add --robot ROBOT.")
 
     @contextmanager
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
@@ -200,9 +200,9 @@ class Job:
 def identify(*logs: Path, output: Output, no_cache: bool = False, job: Job = Job()) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
-    The result is bit-identical for any number of workers. The sums over each log are cached, so that a later
-    run processes only new logs. The command ends with status 3 if logs are unusable (they are listed) or if the model
-    is poor. A poor model is saved only with --force.
+    The result is bit-identical for any number of workers. The sums over each log are cached, so later runs process only
+    new logs. The exit status is 3 if any log is unusable (all such logs are listed) or if the model is poor. A poor
+    model is saved only with --force.
 
     Parameters:
         logs: Recordings of free motion without contact, or folders of recordings.
@@ -241,7 +241,7 @@ def estimate(
     """Estimate the contact force in many logs of one arm; write one file per log.
 
     For each log, prints the length, the number and duration of contacts, the largest force and the mean 2-sigma band.
-    Unusable logs are listed, and the command then ends with status 3.
+    Unusable logs are listed, with exit status 3.
 
     Parameters:
         logs: Recordings with positions, velocities and torques, or folders of recordings.
@@ -281,7 +281,7 @@ def export(
 ) -> int:
     """Convert many logs to another format.
 
-    Unreadable logs are listed, and the command then ends with status 3.
+    Unreadable logs are listed, with exit status 3.
 
     Parameters:
         logs: Files of any supported format, or folders of such files.

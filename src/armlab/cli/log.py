@@ -40,7 +40,7 @@ def show(file: Path, *, columns: Columns = None, json: Json = False, parameters:
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
-        parameters: Show only the parameters of the run: changes with their authors, and final values.
+        parameters: Show only the parameters of the run: all changes with their authors, and the final values.
     """
     told = [_held(one, columns, json, parameters) for one in _files_of(file)]
     if json:
@@ -148,7 +148,7 @@ def _table(file: Path, columns: str | None, robot: str | Robot | None, **options
 
 
 def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
-    """Return the recorded or given arm, whose joint names a new file stores; None if the format has no joint names."""
+    """Return the recorded or given arm, which provides joint names for the new file; None if the format has none."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -166,7 +166,7 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
-    """Repair a copy of a truncated or corrupt log. The original is not modified.
+    """Write a repaired copy of a truncated or corrupt log. The original is not modified.
 
     Parameters:
         file: The recording.
@@ -237,7 +237,7 @@ def resample(
     output: Output,
     force: Force = False,
 ) -> None:
-    """Resample a log at a uniform rate.
+    """Resample a log to a uniform rate.
 
     Numbers are interpolated linearly, and poses and quaternions along geodesics. Counts, flags and texts keep the value
     of the previous row. Use this command for logs with skipped cycles or jittered timestamps. The rate must not be
@@ -269,8 +269,8 @@ def resample(
 def merge(*file: Path, output: Output, force: Force = False) -> None:
     """Merge several recordings into one. The originals are not modified.
 
-    Recordings of one robot are joined according to their wall clocks; gaps between them remain. Recordings of both arms
-    of a bridge are stored side by side: select one with --robot (armlab log export) or --arm (armlab plot).
+    Recordings of one robot are joined by wall-clock time; gaps between them remain. Recordings of both arms of a bridge
+    are stored side by side: select one with --robot (armlab log export) or --arm (armlab plot).
 
     Parameters:
         file: Two or more recordings, in any order.
@@ -286,8 +286,8 @@ def merge(*file: Path, output: Output, force: Force = False) -> None:
 def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggler: bool = False) -> int:
     """Open a recording in another program: Foxglove, PlotJuggler or Rerun.
 
-    Default: the first installed program. armlab plot and armlab view show logs without any of these programs. The
-    command returns when the program ends.
+    Default: the first installed program. The command returns when the program ends. armlab plot and armlab view need
+    none of these programs.
 
     Parameters:
         file: A finished recording.
@@ -413,7 +413,7 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
         blocks.append(aligned(shown))
     blocks += _table_texts(tables)
     if skipped := held.summary.get("skipped"):
-        blocks.append(f"According to its clock, the controller skipped {skipped} cycles, so these rows are missing.")
+        blocks.append(f"The robot's clock shows {skipped} skipped controller cycles, so these rows are missing.")
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
     lines = [f"{_when(event.stamp_ns, began):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)
@@ -471,7 +471,7 @@ VIEWERS = {
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
     """Return the program that opens a recording, and its path."""
     if len(wanted) > 1:
-        raise ConfigError(f"Expected one program to open the log with, got {' and '.join(wanted)}. Omit one.")
+        raise ConfigError(f"Expected a single program to open the log, got {' and '.join(wanted)}. Omit one.")
     places = {name: shutil.which(viewer.program) for name, viewer in VIEWERS.items()}
     for name in wanted or VIEWERS:
         if place := places[name]:

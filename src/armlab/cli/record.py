@@ -35,8 +35,8 @@ def record(
             one robot, 6511, 6512, ... for several.
         output: Log file, such as run.mcap; with several robots, the side or name is appended: runleft.mcap,
             runright.mcap.
-        lead_through: For an arm led by hand: print the steps first, and warn if the arm does not start in its home
-            posture.
+        lead_through: Print the steps of lead-through (hand guiding) first, and warn if the arm does not start in its
+            home posture.
         seconds: Stop after this time, by the robot's clock [s], counted from the first packet.
         patience: Give up after this time without packets [s]; default: wait indefinitely.
     """

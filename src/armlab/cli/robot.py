@@ -23,7 +23,7 @@ robot: App = App(name="robot", help="List, show, convert and export robot descri
 
 @robot.command(name="list", help_epilogue="Example: armlab robot list")
 def list_robots(*, json: Json = False) -> None:
-    """List the robots of the library."""
+    """List the robots in the library."""
     found = [armlab.robots.load(name) for name in armlab.robots.names()]
     if json:
         print_json([{"name": arm.name, "joints": arm.n, "side": arm.side, "hash": arm.hash} for arm in found])
@@ -176,7 +176,7 @@ def _show_tree(tree: Tree, json: bool) -> None:
         print_json({"name": tree.name, "root": tree.root, "tips": tree.tips, "links": links, "joints": joints})
         return
     result(f"{tree.name}: {len(tree.links)} links, {len(tree.joints)} joints")
-    rows = [("link", "joint above", "kind", "from", "to", "unit", "follows"), (tree.root, *[""] * 6)]
+    rows = [("link", "parent joint", "kind", "from", "to", "unit", "follows"), (tree.root, *[""] * 6)]
     waiting = [(joint, 1) for joint in reversed(tree.child_joints[tree.root])]
     while waiting:
         joint, depth = waiting.pop()

@@ -39,9 +39,9 @@ def run(
 ) -> int:
     """Run a controller from a file on a robot, record a log, and print a report.
 
-    The file defines a function State -> Command; the value None holds the position. A dictionary `extra` in the file
-    declares the columns of Command.record. After --seconds, on Command.stop(), or on Ctrl-C, the arm is
-    brought to rest and the run ends.
+    The file defines a function State -> Command; returning None holds the position. A dictionary `extra` in the file
+    declares the columns of Command.record. After --seconds, on Command.stop(), or on Ctrl-C, the arm is brought to rest
+    and the run ends.
 
     Parameters:
         robot: Library name or robot file; yumi_left+yumi_right for two arms.
@@ -165,7 +165,7 @@ def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
 
 
 def _files(link: Link) -> list[Path]:
-    """Return the paths of the logs of the last run."""
+    """Return the log paths of the last run."""
     last = link.last
     runs = () if last is None else last.arms or (last,)
     return [one.path for one in runs if one.path is not None and one.path.exists()]
@@ -199,16 +199,16 @@ def play(
 
     Moves the robot to the start at moderate speed, runs the trajectory, records a log, and prints the distance from the
     goal. The path between points is linear with positions alone, cubic with velocities, and quintic with accelerations.
-    A trajectory outside the limits is refused. To replay at another speed, fit a primitive: armlab dmp fit.
+    A trajectory outside the limits is rejected. To replay at another speed, fit a primitive: armlab dmp fit.
 
     Parameters:
         file: A trajectory_msgs/JointTrajectory or a FollowJointTrajectory goal in JSON; or a log or CSV file. Replays
-        the references in the column q_sent, otherwise the columns q, qd and qdd.
+            the column q_sent if present, otherwise q, qd and qdd.
         robot: Library name or robot file.
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         speed: Allowed fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: play.mcap in the log folder.
-        force: Allow the replay of a log of another robot.
+        force: Allow the replay of another robot's log.
     """
     from armlab.cli.dmp.playing import Walk, report_motion
     from armlab.cli.support.settings import load_settings, log_folder

@@ -101,8 +101,9 @@ class SurroundingOptions:
     """External events.
 
     Attributes:
-        operator: CSV file of a wrench on the first robot with columns t,fx,fy,fz,mx,my,mz: seconds since the start of
-            guidance, then N and N m in base axes at the tool point. Rows are interpolated linearly.
+        operator: CSV file of a wrench on the first robot, with columns t,fx,fy,fz,mx,my,mz: time since the start of
+            guidance [s], then force [N] and moment [N m] in base axes at the tool point. Rows are interpolated
+            linearly.
         hand: With --program lead-through: CSV file of the path along which a hand leads the first robot, t,q1,q2,... in
             rad; default: a random smooth path.
         grip: START,END in guidance time [s]: interval in which a hand holds the tool of the first robot in place.
@@ -191,7 +192,7 @@ _SHOWN = 80  # characters quoted from an invalid line
 
 
 def read_operator(path: Path) -> AppliedWrench:
-    """Return the operator's wrench in a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
+    """Return the operator's wrench from a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
     from armlab.sim.events import AppliedWrench
 
     table = _read(path, _OPERATOR, "an operator file")
@@ -199,7 +200,7 @@ def read_operator(path: Path) -> AppliedWrench:
 
 
 def read_hand(path: Path, n: int) -> HandPath:
-    """Return the path of a guiding hand in a CSV file with the header ``t,q1,q2,...``."""
+    """Return the path of a guiding hand from a CSV file with the header ``t,q1,q2,...``."""
     from armlab.sim.events import HandPath
 
     table = _read(path, ("t", *(f"q{i + 1}" for i in range(n))), "a hand path")
@@ -209,7 +210,7 @@ def read_hand(path: Path, n: int) -> HandPath:
 
 
 def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
-    """Return the numbers in a CSV file whose first column is an increasing time."""
+    """Return the numbers in a CSV file whose first column is strictly increasing time."""
     import numpy as np
 
     from armlab.cli.support.settings import read_text
@@ -305,7 +306,7 @@ def sim(
 ) -> int:
     """Simulate arms and their EGM controllers.
 
-    Masses are taken from the robot's description; friction and noise are synthetic. See the documentation.
+    Masses are taken from the robot's description; friction and noise are synthetic.
 
     Parameters:
         robot: Library names or robot files, one per motion task. Omit them with --axes.
@@ -335,7 +336,7 @@ def sim(
     """
     from armlab.sim.controller.cycles import Timing, run
 
-    parent = os.getppid() if parent is None else parent  # first, before the parent can end
+    parent = os.getppid() if parent is None else parent  # first, because the parent may end at any time
     pace = Timing(lockstep, seconds, patience)
     if not 0.0 <= phase < math.inf:
         raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
@@ -389,7 +390,7 @@ def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
 def _seeds(seed: str, count: int) -> list[int]:
     words = [word.strip() for word in seed.split(",")]
     if len(words) not in (1, count) or not all(word.isascii() and word.isdigit() and len(word) < 20 for word in words):
-        raise ConfigError(f"Expected --seed to be one whole number of at least 0, or one per robot, got {seed!r}.")
+        raise ConfigError(f"Expected --seed to be one integer of at least 0, or one per robot, got {seed!r}.")
     return [int(word) for word in words] * (count // len(words))
 
 
@@ -465,5 +466,5 @@ class _SharedOptions:
         unusable["mismatch"] = self.mismatch != Mismatch(seed=self.mismatch.seed)
         if option := next((option for option, given in unusable.items() if given), None):
             raise ConfigError(f"Expected an arm with masses for --{option}, but {why}. Omit --{option}.")
-        note(f"note: {why}. The arm follows references, and ignores torque commands and external forces")
+        note(f"note: {why}. The arm follows references and ignores torque commands and external forces")
         return LaggingArm(robot, period)

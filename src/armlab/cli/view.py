@@ -52,7 +52,7 @@ def view(
             zenoh://127.0.0.1:7447.
         robot: Library name or robot file, one per log without an embedded robot description. Also needed to show
             meshes, which recordings and bridges do not contain. Mesh files are searched for in the folder of the robot
-            file and in its parent folders. A recording or bridge of another robot is refused.
+            file and in its parent folders. A recording or bridge of another robot is rejected.
         model: Model file written by `armlab identify`, used to estimate the force if the log or bridge has no estimate;
             one per arm.
         cell: With --live: name of the cell; required if several cells are running.
@@ -142,12 +142,12 @@ def _open(url: str) -> None:
 def beside(cell: str, robot: str | None = None) -> Iterator[str]:
     """Show a bridge in the browser during the block, from a separate process; yields the address.
 
-    `robot`: arm of the bridge as typed by the user; its meshes are added.
+    `robot`: arm as typed by the user, whose meshes are added.
     """
     words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell, *(mesh_option(robot) if robot else ())]
     with TemporaryFile("w+") as said:
         options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}
-        # in a separate session, so that Ctrl-C reaches only the caller, which first brings the arm to rest
+        # in a separate session: Ctrl-C then reaches only the caller, which first brings the arm to rest
         process = subprocess.Popen(words, text=True, start_new_session=True, **options)
         try:
             yield _first_line(process, said)

@@ -1,4 +1,4 @@
-"""Contacts in an estimated log: location, time and size; comparison with a measured wrench.
+"""Contact detection and localisation in a log with wrench estimates, and comparison with a reference wrench.
 
 Hypotheses about the contact location:
 
@@ -29,10 +29,10 @@ from armlab.models.uncertainty import PRIOR
 from armlab.robots import Robot
 
 DECISIVE = 3.0  # log Bayes factor
-EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: a person trusting the tool force may stand by the link
+EXCLUDED = 6.0  # log Bayes factor for excluding a link (400 to 1); strict, because a person may be touching the link
 GRID = 50  # points along a segment
 ROWS_PER_MEMORY = 2  # rows used per correlation time
-SLOW = 0.02  # rad/s; if all joints are slower, the friction error is constant: one sample
+SLOW = 0.02  # rad/s; if all joints are slower, friction errors are constant and the window counts as one sample
 CHUNK = 64  # windows per batch
 UNDECIDED = "undecided"
 
@@ -44,20 +44,20 @@ class Hypotheses(Shown):
     Attributes
     ----------
     t : array, shape (K,), s
-        Middle of each window.
+        Centre of each window.
     names : tuple of str, length H
         Names of the hypotheses.
     log_evidence : array, shape (K, H)
-        Logarithm of the evidence of each hypothesis.
+        Log evidence of each hypothesis.
     posterior : array, shape (K, H)
         Posterior probabilities for equal prior odds; rows sum to 1.
     decision : tuple of str, length K
         Most likely hypothesis; "undecided" if it is less than 20 times as likely as the second.
     link : bool array, shape (K,)
-        True in contact unless every hypothesis "link k" is excluded at odds of 400 to 1; a force reported at the tool
-        may then act on a link.
+        True if there is contact and at least one hypothesis "link k" is not excluded at odds of 400 to 1. A force
+        reported at the tool may then act on a link.
     place : array, shape (K,), m
-        Most likely contact point on the segment, from its start; NaN without a segment.
+        Distance along the segment from its start to the most likely contact point; NaN without a segment.
     samples : array, shape (K,)
         Effective sample size of each window.
     """
@@ -77,7 +77,7 @@ class Hypotheses(Shown):
     def during(self, start: float, end: float) -> str:
         """Describe the decision for a contact from `start` to `end` [s].
 
-        Uses the windows inside the contact, or else the nearest window.
+        Uses the windows centred inside the contact or, if there are none, the nearest window.
         """
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
@@ -98,7 +98,7 @@ class Hypotheses(Shown):
         return f"{first}{place}{beside}{doubt}"
 
     def text(self) -> str:
-        """Return one line per segment with a constant decision, except for segments without contact."""
+        """Return one line per time interval with a constant decision; intervals without contact are omitted."""
         lines, at = [], 0
         for decision, group in groupby(self.decision):
             start, at = at, at + len(list(group))
@@ -127,7 +127,7 @@ def hypotheses(
     point : (3,) contact of the hypothesis "point", tool axes [m]; default: the tool point, unless a segment is given.
     segment : (M, 3) corners of a line on the tool, tool axes [m]; default: no such hypothesis.
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; default: 20 N and 2 N m.
-    window : length [s]; a shorter contact is averaged with free motion.
+    window : window length [s]; contacts shorter than a window are averaged with free motion.
     memory : correlation time of the torque error [s], see `correlation_time`. A window counts as window / (2 memory)
         independent samples. For an identified YuMi model and the 10 Hz filter, the correlation time in motion is 0.02
         to 0.06 s. The default of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
@@ -135,12 +135,12 @@ def hypotheses(
     Raises
     ------
     UnknownName : the table has no estimate.
-    ShapeError : wrong joint count; a point, segment, prior or time of wrong shape or value; a point further away than
-        the length of the arm; a table shorter than a window; missing rows in every window.
+    ShapeError : the joint count, point, segment, prior or a time is invalid; a point is further from the tool than the
+        arm is long; the table is shorter than a window; or every window has missing rows.
 
     References
     ----------
-    Kass and Raftery (1995), Bayes factors, for the scale of evidence.
+    Kass and Raftery (1995), Bayes factors (scale of evidence).
     """
     q, qd, error, variance = _columns(table, robot)
     at, line, sd = _places(point, segment, prior, robot)
@@ -221,7 +221,7 @@ def _windows(table: Table, error: np.ndarray, window: float, memory: float) -> n
 def _scores(
     robot: Robot, q: np.ndarray, error: np.ndarray, variance: np.ndarray, places: np.ndarray, sd: np.ndarray
 ) -> np.ndarray:
-    """Return log N of every row (K, m, 1 + points + 1 + links): no contact, each point, wrench, links."""
+    """Return the row log likelihoods (K, m, 1 + points + 1 + links): no contact, each point, wrench, links."""
     T_base_tool, J = robot.chain.forward_jacobian(q)
     linear, angular = np.swapaxes(J[..., :3, :], -1, -2), np.swapaxes(J[..., 3:, :], -1, -2)  # (..., n, 3)
     arms = np.einsum("...ab,pb->...pa", T_base_tool[..., :3, :3], places)
@@ -243,7 +243,7 @@ def _scores(
 
 
 def _peak(score: np.ndarray) -> np.ndarray:
-    """Return the position on the grid (K,) of the largest score (K, GRID), by a parabola through three points."""
+    """Return the grid position (K,) of the largest score (K, GRID), refined by a parabola through three points."""
     k = np.clip(np.argmax(score, axis=1), 1, score.shape[1] - 2)
     left, middle, right = (np.take_along_axis(score, (k + i)[:, None], 1)[:, 0] for i in (-1, 0, 1))
     bend = left - 2.0 * middle + right
@@ -267,15 +267,15 @@ def _decided(
 
 
 CHI2_95 = 7.81  # 95 % quantile of the chi-squared distribution with three degrees of freedom
-FALSE_ALARMS = 600.0  # s of free motion per false alarm, for normal errors and independent rows
-INDEPENDENT = 0.1  # s; force errors further apart are independent
-SHORTEST = 0.05  # s; friction errors at a reversal are shorter
+FALSE_ALARMS = 600.0  # s of free motion per false alarm, for Gaussian errors and independent rows
+INDEPENDENT = 0.1  # s; force errors at least this far apart are treated as independent
+SHORTEST = 0.05  # s; minimum duration of a contact; friction errors at a reversal are shorter
 HOLE = 0.1  # s; shorter gaps do not end a contact
 
 
 @dataclass(frozen=True, repr=False)
 class Contact(Shown):
-    """Interval of contact.
+    """Contact interval.
 
     Attributes
     ----------
@@ -296,11 +296,11 @@ class Contact(Shown):
 
 
 def contacts(table: Table) -> list[Contact]:
-    """Detect contacts, which are intervals that free motion would produce less than once in ten minutes.
+    """Detect contacts: intervals that free motion would produce less than once in ten minutes.
 
-    In an interval, ``d = f^T Sigma^-1 f`` exceeds 7.81, the 95 % quantile without contact. The sum of d over its
-    independent samples is tested against the chi-squared distribution. Intervals that never stay above 7.81 for 0.05 s
-    are ignored.
+    Within an interval, ``d = f^T Sigma^-1 f`` exceeds 7.81, its 95 % quantile without contact; gaps below 0.1 s are
+    bridged. The sum of d over the independent samples of the interval is tested against the chi-squared distribution.
+    Intervals in which d never stays above 7.81 for 0.05 s are ignored.
 
     Parameters
     ----------
@@ -358,7 +358,7 @@ class Comparison(Shown):
     rms : array, shape (6,), N and N m
         RMS error per axis.
     inside : array, shape (6,)
-        Share of the errors within 2 sigma.
+        Fraction of errors within 2 sigma.
     """
 
     against: str
@@ -374,7 +374,7 @@ class Comparison(Shown):
 
 
 def compare(table: Table) -> Comparison:
-    """Compare an estimate with the true wrench if the table contains it, otherwise with a force sensor.
+    """Compare the estimated wrench with the true wrench if the table contains it, otherwise with the force sensor.
 
     Errors are ``wrench_hat - wrench_true`` or ``wrench_hat - wrench``; with a correct covariance, 95.4 % of them are
     within two sigma.

@@ -3,16 +3,16 @@
 Static methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
 C_tau(qd) over velocity.
 
-"map"       maximum a posteriori F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It is
-            defined at singular poses, where it returns the prior. Shrinkage causes the bias ``(I - K J^T) F``.
-"bounded"   treats friction near rest as bounded rather than random: minimises
+"map"       maximum a posteriori F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. Valid at
+            singular poses, where unobservable directions keep the prior. Shrinkage causes the bias ``(I - K J^T) F``.
+"bounded"   treats friction near rest as bounded rather than random, and minimises
             ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 + F^T C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt,
-            Robertsson and Johansson, IROS 2013). It reports contact only if proven, and does not drift at rest.
-            Joints inside their bound contribute nothing.
+            Robertsson and Johansson, IROS 2013). Reports a contact only if friction cannot explain the torques, and
+            does not drift at rest. Joints within their bounds contribute nothing.
 "interval"  like "bounded", plus the guaranteed interval of every axis for |friction error| <= D, |noise| <= 3 s and
             torque gains within 3 standard deviations, by linear programming.
-"clip"      like "bounded", by an iteration that is easy to audit but needs thousands of rounds. For comparison only.
-"ls"        weighted least squares without a prior. For comparison only; forces are huge near singular poses.
+"clip"      like "bounded", by a method that is easy to audit but needs thousands of iterations. For comparison only.
+"ls"        weighted least squares without a prior. For comparison only; estimates become huge near singular poses.
 "ols"       like "ls" without weights, ``(J J^T)^-1 J tau_e``: TFRT-7651, eq. (1). For comparison only.
 "lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as printed in TFRT-7651, eq. (2). For comparison only; using a
             covariance instead of a weight gives the noisiest joint the largest weight. The sign is armlab's; F_ext in
@@ -22,7 +22,7 @@ Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u 
 
 "observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is the low-pass filtered J^T F; F is then computed as in "map"
             (De Luca and Mattone 2003).
-"kf"        Kalman filter of momentum and wrench; the wrench is a random walk with leak (Wahrburg et al. 2015, 2018).
+"kf"        Kalman filter for momentum and wrench; the wrench is a leaky random walk (Wahrburg et al. 2015, 2018).
             With ``bias``, the unknown friction after a stop is also a state, and `tare` separates it from contact.
 """
 
@@ -57,13 +57,13 @@ INVALID = 1
 WEAK = 2
 """At least one axis has an observability below 0.5, so the prior outweighs the torques."""
 STUCK = 4
-"""Every joint torque is within its friction bound, so only the interval is known."""
+"""Every joint torque is within its friction bound; only the interval of the wrench is known."""
 INFEASIBLE = 8
 """No wrench explains the torques within their bounds; the contact point or the model is wrong."""
 SINGULAR = 16
 """Without a prior, this pose does not determine the wrench; the estimate is NaN."""
 TARED = 32
-"""`Estimator.tare` separated friction from contact, and no joint has moved away since then."""
+"""`Estimator.tare` separated friction from contact, and every joint has stayed in place since."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -137,16 +137,16 @@ class Wrench(Shown):
 
 
 def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
-    """Return a copy of the point (3,)."""
+    """Validate a contact point and return a copy (3,)."""
     place = np.array(numbers(point, "the contact point", ShapeError))
     if place.shape != (3,) or not np.all(np.isfinite(place)):
-        raise ShapeError(f"Expected the contact point to be three finite numbers [m], tool axes, got {point!r}.")
+        raise ShapeError(f"Expected the contact point to be three finite numbers [m] in tool axes, got {point!r}.")
     check_distance(place[None], robot)
     return place
 
 
 def check_distance(places: np.ndarray, robot: Robot) -> None:
-    """Reject points further from the tool than the length of the arm, which are usually in millimetres."""
+    """Reject points further from the tool than the arm is long; they are usually in millimetres."""
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:
         raise ShapeError(
@@ -159,9 +159,9 @@ Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "ols", "obs
 METHODS = get_args(Method)
 STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `WrenchMethod`
 GAIN = 30.0  # 1/s, gain of the observer
-PARTS = 100  # parts per log between progress reports
+PARTS = 100  # progress reports per log
 TARE, MEMORY = 0.5, 0.1  # s: shortest tare; correlation time of errors
-STAYS = 0.5  # share of the SD at rest: with the full SD, the bands of a tared Panda were too wide by a factor of 2
+STAYS = 0.5  # minimum SD after a tare, relative to the SD at rest; 1.0 made a Panda's bands twice as wide as needed
 
 
 class Estimator:
@@ -171,9 +171,9 @@ class Estimator:
     Static methods use a second-order residual filter at the model's cut-off (10 Hz: 22 ms delay), the observer uses a
     first-order filter (33 ms), and the delay of the Kalman filter follows from the covariances.
 
-    An estimator belongs to one thread at a time, because its filter would mix the samples of two threads. Another
-    thread may take over; then `step` raises `ConcurrentUse` in the earlier threads until `reset`. Create one estimator
-    per thread. A copy has the same state; an unpickled estimator starts with a reset state.
+    Create one estimator per thread; shared by two threads, its filter would mix their samples. Another thread may take
+    over an estimator; `step` then raises `ConcurrentUse` in earlier threads until `reset`. A copy has the same state;
+    an unpickled estimator starts in the reset state.
 
     Parameters
     ----------
@@ -187,14 +187,14 @@ class Estimator:
         Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point,
         only the first three (force) are used.
     point : array_like, shape (3,), optional
-        Known contact point in tool axes [m]; there are then three unknowns instead of six. A correct point halves the
+        Known contact point in tool axes [m], which reduces the unknowns from six to three. A correct point halves the
         error; a wrong point doubles it.
     force_rate : {"smooth", "normal", "fast"} or array_like, shape (6,), optional
         Random-walk intensity of the wrench for "kf" [N/sqrt(s), N m/sqrt(s)]: "smooth" is 2 and 0.2, "normal"
         (default) is 5 and 0.5, "fast" is 20 and 2.
     leak : float or array_like, shape (6,), optional
-        For "kf": decay rate of the wrench [1/s]. Default: unobserved directions keep the prior's uncertainty.
-        0 gives a pure random walk.
+        For "kf": decay rate of the wrench [1/s]; 0 gives a pure random walk. By default, unobserved directions keep
+        the prior uncertainty.
     gain : float, optional
         For "observer": gain [1/s]. Default: 30.
     bias : bool
@@ -207,8 +207,8 @@ class Estimator:
     UnknownName
         The method or the name of a rate is unknown.
     ShapeError
-        The prior, rate, leak or gain is not positive, or the point is not finite or is further away than the length of
-        the arm.
+        The prior, rate, leak or gain is not positive, or the point is not finite or is further from the tool than the
+        arm is long.
     ConfigError
         An option belongs to another method.
 
@@ -265,7 +265,7 @@ class Estimator:
         return f"Estimator({self._model.robot_name!r}, method={self._method!r}, prior={brief(np.sqrt(self._prior))})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle only the model and options; the unpickled estimator starts with a reset state."""
+        """Pickle only the model and options; the unpickled estimator starts in the reset state."""
         return self._with, (self._model,)
 
     def __copy__(self) -> Estimator:
@@ -304,8 +304,8 @@ class Estimator:
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
 
-        A sample that is not finite or whose torque overflows yields NaN and does not change the state; the next time
-        step starts at the last valid sample.
+        A non-finite sample, or one whose torque overflows, yields NaN and does not change the state. The next time step
+        starts at the last valid sample.
 
         Parameters
         ----------
@@ -332,11 +332,11 @@ class Estimator:
         )
 
     def tare(self) -> None:
-        """Declare that there is no contact now, so that the torque error is attributed to friction.
+        """Declare that there is no contact now; the torque error is then attributed to friction.
 
         This conditions the state on a zero wrench. The tare is valid while every joint stays in place. Once a joint
-        moves by more than its presliding distance, its friction changes, so the friction error is discarded and the
-        flag TARED is cleared.
+        moves by more than its presliding distance, its friction changes: the friction error is discarded and the flag
+        TARED is cleared.
 
         Raises
         ------
@@ -373,10 +373,10 @@ class Estimator:
         Parameters
         ----------
         table : log with columns q, qd, tau (N, n).
-        tare : seconds from the start, or rows, in which the arm rests without contact. The torque error there is
-            treated as friction as long as every joint stays within its presliding distance, and the torque standard
-            deviation is halved. These rows have the flag TARED.
-        progress : called with (done, total, what), in rows.
+        tare : duration from the start [s], or slice of rows, in which the arm rests without contact. The torque error
+            there is attributed to friction while every joint stays within its presliding distance. The torque standard
+            deviation drops by up to half. These rows have the flag TARED.
+        progress : called with (rows done, total rows, description).
 
         Raises
         ------
@@ -394,7 +394,7 @@ class Estimator:
         if q.shape != (len(table), self._robot.n):
             raise ShapeError(
                 f"Expected q of shape ({len(table)}, {self._robot.n}), got {q.shape}. "
-                "Pass the log of the robot that the model belongs to."
+                "Pass a log of the robot to which the model belongs."
             )
         check_known(q, tau, self._robot)
         found = self._run(q, qd, tau, np.ascontiguousarray(table.dt), progress)
@@ -463,7 +463,7 @@ class Estimator:
             )
 
     def _take_over(self) -> None:
-        """Make this thread the owner; a previous owner may not return before a reset."""
+        """Make this thread the owner; previous owners are locked out until a reset."""
         self._refuse_running()
         self._earlier.add(self._thread)
         self._thread = 0  # the state is mixed: reject every thread until a reset
@@ -476,11 +476,11 @@ class Estimator:
 
 
 def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -> tuple[TorqueModel, np.ndarray, slice]:
-    """Return a model for an arm at rest after a tare, its torque correction (n,), and the rows in which it is valid."""
+    """Return the model of a tared arm at rest, the torque correction (n,), and the rows in which both are valid."""
     if isinstance(tare, slice):
         span = slice(*tare.indices(len(table))[:2])
     else:
-        seconds = number(tare, "the seconds of a tare", ShapeError)
+        seconds = number(tare, "the tare duration [s]", ShapeError)
         span = slice(0, int(np.searchsorted(table.t, table.t[0] + seconds)))
     free = replace(Friction.none(model.n), delta=model.friction.delta, resolution=model.friction.resolution)
     rested = replace(model, friction=free, friction_map=None, warm_up=None, parameters=None)  # constant errors at rest
@@ -511,7 +511,7 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
 
 
 def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:
-    """Reject options of another method, which would have no effect."""
+    """Reject options that have no effect with the chosen method."""
     for owner, values in options.items():
         given = [name for name, value in values.items() if value is not None]
         if given and method != owner:
@@ -541,7 +541,7 @@ def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[n
         return rate, None
     leaks = numbers(leak, "the leak [1/s]", ShapeError)
     if leaks.shape not in ((), (6,)) or not np.all(np.isfinite(leaks)) or not np.all(leaks >= 0):
-        raise ShapeError(f"Expected a leak of one or six numbers of at least 0 [1/s], got {leak!r}. Correct the leak.")
+        raise ShapeError(f"Expected a leak of one or six non-negative numbers [1/s], got {leak!r}. Correct the leak.")
     return rate, np.array(np.broadcast_to(leaks, 6))
 
 

@@ -2,19 +2,19 @@
 
     M(q) qdd + C(q, qd) qd + g(q) = tau + J(q)^T f_ext
 
-All functions broadcast over leading axes and are compiled. Motions and torques refer to the joints from base to
-tool, revolute [rad, N m] or prismatic [m, N]. Mount, tool and gravity are taken from the robot. For motors behind
-coupled gears, use ``couplings.joint_torque_to_motor(robot, tau)``; their mass matrix is ``G^T M G`` with G =
-`Robot.coupling`.
+All functions are compiled and broadcast over leading axes. Joints are ordered from base to tool; they are revolute
+[rad, N m] or prismatic [m, N]. Mount, tool and gravity are those of the robot. For motors behind coupled gears, convert
+torques with ``couplings.joint_torque_to_motor(robot, tau)``; the motor-side mass matrix is ``G^T M G`` with
+G = `Robot.coupling`.
 
-The first argument is a `Robot` with inertias, or an identified `TorqueModel`. A model provides base parameters:
-results that are linear in them are exact, including rotors and coupled motors; friction is excluded. There are two
-limitations. The potential energy of a model is zero at q = 0. The constant weight on a vertical prismatic joint is
-missing, because it is indistinguishable from a torque offset. A model from `identify.fit_gravity` supports only
-`gravity`. `regressor` and `base_regressor` need no masses.
+The first argument is a `Robot` with inertias, or an identified `TorqueModel`. A model contains base parameters only, so
+results that are linear in them are exact, including rotors and coupled motors but without friction. The potential
+energy of a model is zero at q = 0. The constant weight on a vertical prismatic joint is missing, because it is
+indistinguishable from a torque offset. A model from `identify.fit_gravity` supports only `gravity`. `regressor` and
+`base_regressor` need no masses.
 
-This package is layered above `models`, because `kinematics` does not import `TorqueModel`. Simulation, estimators and
-identification call the same kernels (native/math/arm/rigid_body.h).
+This package is separate from `kinematics`, because it imports `TorqueModel`. Simulation, estimators and identification
+call the same kernels (native/math/arm/rigid_body.h).
 """
 
 from armlab.dynamics.base_parameters import BaseParameters, base_parameters, base_regressor, regressor

@@ -1,7 +1,7 @@
 """Base parameters: the identifiable combinations of link parameters.
 
-``Y pi = Y[:, kept] B pi + D pi``. ``D pi`` is the constant torque of each joint that is indistinguishable from the
-offset of its sensor: the weight carried by a vertical prismatic joint, and zero for revolute arms.
+``Y pi = Y[:, kept] B pi + D pi``. ``D pi`` is the constant torque of each joint that is indistinguishable from a torque
+sensor offset: the weight carried by a vertical prismatic joint, and zero for revolute arms.
 docs/theory/identification.md contains the derivation.
 """
 
@@ -21,7 +21,7 @@ from armlab.robots import Robot
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8  # relative to the largest column or entry
-INDEPENDENT = 0.02  # fraction of a column: 0 or above 0.5 in nominal arms; calibrated arms add axis errors [rad]
+INDEPENDENT = 0.02  # least independent fraction of a column: 0 or > 0.5 for nominal arms, plus axis errors [rad]
 SEED = 20170101
 
 
@@ -31,15 +31,15 @@ class BaseParameters(Shown):
 
     Attributes
     ----------
-    names : p names of the base parameters, with the combinations they represent.
-    units : p units of the base parameters: kg, kg m or kg m^2.
+    names : names of the p base parameters, which state the combinations of link parameters.
+    units : units of the p base parameters: kg, kg m or kg m^2.
     kept : (p,) columns of the regressor [links (10 n), rotors (n)] that represent the base parameters.
     B : (p, 11 n) map from link parameters and rotors pi to base parameters, ``base = B @ pi``.
     lift : (11 n, p) map from base parameters to the minimum-norm pi with ``D pi = 0``.
-    D : (n, 11 n) map from pi to the constant torque of each joint that is part of its offset.
-    offset_names : n names of the offsets, with the masses that contribute to them.
-    seen : (n, p) mask of the base parameters that act on each joint.
-    quasi_static : whether the motion excites only the gravity parameters.
+    D : (n, 11 n) map from pi to the constant torque contained in the offset of each joint.
+    offset_names : names of the n offsets, which state the masses that contribute.
+    seen : (n, p) mask of the base parameters that affect the torque of each joint.
+    quasi_static : whether only the gravity parameters are included.
     """
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class BaseParameters(Shown):
     quasi_static: bool
 
     def links_and_rotors(self, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return link parameters (n, 10) and rotor inertias (n,) that evaluate the base parameters (p,) exactly."""
+        """Return link parameters (n, 10) and rotor inertias (n,) that reproduce base parameters (p,) exactly."""
         pi = self.lift @ base
         n = len(pi) // 11
         return pi[: 10 * n].reshape(n, 10), pi[10 * n :]
@@ -70,15 +70,15 @@ class BaseParameters(Shown):
 def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequence[int] | None = None) -> BaseParameters:
     """Return the base parameters of `robot`, including rotor inertias.
 
-    The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column is independent
-    if its part outside the span of the preceding columns exceeds 2 %. The nearly perpendicular or parallel axes of a
-    calibrated arm contribute less than that. Offsets come first, then first moments and inertias from base to tip,
-    rotors, and finally masses. Names therefore read ``m c_x2 + 0.2465 m3``, as in the literature.
+    The regressor is evaluated at 50 n random states (fixed seed), and its columns are scaled to norm 1. A column is
+    independent if more than 2 % of it lies outside the span of the preceding columns. The axis errors of a calibrated
+    arm stay below this threshold. Columns are ordered as offsets, first moments and inertias from base to tip, rotors,
+    and masses. Names therefore read ``m c_x2 + 0.2465 m3``, as in the literature.
 
     Parameters
     ----------
     robot : robot description, including gravity.
-    quasi_static : whether to return only the gravity parameters (masses and first moments), which slow motion excites.
+    quasi_static : whether to include only the gravity parameters (masses, first moments), which slow motion excites.
     joints : numbers (from 0) of the joints with measured torque; default: all.
 
     Raises
@@ -141,7 +141,7 @@ def _independent(A: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarr
     kept = []
     for column in alive:
         v = A[:, column] / norms[column]
-        for _ in range(2):  # two passes are orthogonal to rounding error
+        for _ in range(2):  # two passes give orthogonality to rounding error
             v = v - basis @ (basis.T @ v)
         size = np.linalg.norm(v)
         if size > INDEPENDENT:
@@ -165,7 +165,7 @@ def _unit(column: int, n: int) -> str:
 
 
 def _combination(row: np.ndarray, names: list[str], leader: str, own: int = -1) -> str:
-    """Return a parameter as its leading symbol plus dependent symbols, with coefficients rounded to six digits."""
+    """Return a parameter name: leading symbol plus dependent symbols, with coefficients rounded to six digits."""
     others = [c for c in np.flatnonzero(row) if c != own]
     terms = [f"{'-' if row[c] < 0 else '+'} {abs(row[c]):.6g} {names[c]}" for c in others]
     return " ".join([leader, *terms]).replace(" 1 ", " ")
@@ -220,7 +220,7 @@ def base_regressor(
 ) -> np.ndarray:
     """Return the regressor (..., n, p) of the base parameters: ``tau = Y_b(q, qd, qdd) (base.B pi) + base.D pi``.
 
-    Its columns are independent; the columns of rotor inertias equal qdd.
+    The columns are independent; rotor columns contain qdd.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ def inverse_dynamics(
 ) -> np.ndarray:
     """Return the joint torques (..., n) [N m or N] of a motion: ``tau = M qdd + C qd + g - J^T f_ext``.
 
-    The function applies the recursive Newton-Euler algorithm (Siciliano et al., Robotics, 2009, section 7.5).
+    Computed by the recursive Newton-Euler algorithm (Siciliano et al., Robotics, 2009, section 7.5).
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def inverse_dynamics(
     Raises
     ------
     RobotError : for a robot without inertias.
-    ModelMismatchError : for a model without inertias, or with a subset of the joints.
+    ModelMismatchError : for a model without inertias, or a model of only some of the joints.
     ShapeError : if shapes are wrong or do not broadcast.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
@@ -56,7 +56,7 @@ def inverse_dynamics_derivatives(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the derivatives of `inverse_dynamics` with respect to position, velocity and acceleration.
 
-    The derivatives are analytical and take O(n^2) time. A wrench `f_ext` stays constant in base axes.
+    The derivatives are analytical, with O(n^2) complexity. A wrench `f_ext` stays constant in base axes.
 
     Parameters
     ----------
@@ -153,9 +153,9 @@ def coriolis(robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.nd
 def coriolis_matrix(
     robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the Coriolis matrix C(q, qd) (..., n, n) of Christoffel symbols, ``C_ij = sum of Gamma_ijk qd_k``.
+    """Return the Coriolis matrix C(q, qd) (..., n, n) from Christoffel symbols, ``C_ij = sum of Gamma_ijk qd_k``.
 
-    ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew. If only the vector ``C qd`` is needed, use `coriolis`.
+    ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew. For the vector ``C qd`` alone, use `coriolis`.
 
     Parameters
     ----------
@@ -194,8 +194,8 @@ def forward_dynamics(
 
     Raises
     ------
-    RobotError : for a robot without inertias, or if the mass matrix is not positive definite because of a massless
-        link or physically inconsistent identified parameters.
+    RobotError : for a robot without inertias, or if a massless link or physically inconsistent parameters make the
+        mass matrix not positive definite.
     ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
@@ -213,7 +213,7 @@ def forward_dynamics_derivatives(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the derivatives of `forward_dynamics` with respect to position, velocity and torque.
 
-    ``dqdd/dx = -M^-1 dtau/dx``, with the derivatives of `inverse_dynamics` at the resulting acceleration, and ``M^-1``.
+    ``dqdd/dx = -M^-1 dtau/dx`` with the derivatives of `inverse_dynamics` at the resulting acceleration, for x = q, qd.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def energy(
     Returns
     -------
     kinetic : (...) kinetic energy [J].
-    potential : (...) potential energy [J]: of a robot relative to the base origin, of a model relative to q = 0.
+    potential : (...) potential energy [J], relative to the base origin (robot) or to q = 0 (model).
 
     Raises
     ------
@@ -268,7 +268,7 @@ def energy(
 
 
 def _identified(robot: Any) -> TorqueModel:
-    """Return the torque model of a fit."""
+    """Return the torque model of a fit; raise for any other object."""
     model = getattr(robot, "value", None)
     if not isinstance(model, TorqueModel):
         raise RobotError.no_robot(robot)

@@ -1,9 +1,9 @@
 """Statistical contract of estimators: ten properties required of every `fit_*`, tested by one function.
 
-The fit is run on many experiments with known truth, and its stated uncertainty is compared with its actual errors e.
-The normalised squared error NEES = e^T C^-1 e must be equal to the number of parameters, on average over the runs, if
-the covariance C is correct (Bar-Shalom, Li and Kirubarajan 2001). The other properties concern the order of the
-samples, units, error messages, files and side effects.
+The fit runs on many experiments with known truth, and the reported covariance C is compared with the actual errors e.
+If C is correct, the normalised estimation error squared, NEES = e^T C^-1 e, averages to the number of parameters
+(Bar-Shalom, Li and Kirubarajan 2001). The other properties concern sample order, units, error messages, files and side
+effects.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from armlab.estimation.fit import Fit
 Verdict = tuple[bool | None, str]
 
 NORMAL_95 = 1.959963984540054
-ENOUGH = 1000  # runs needed to judge coverage and efficiency, and for the limits of the benchmark
-STANDARD_ERRORS = 3.0  # number of standard errors by which few runs widen the limits
-GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on the gauge
+ENOUGH = 1000  # minimum number of runs for assessing coverage and efficiency, and for the benchmark limits
+STANDARD_ERRORS = 3.0  # standard errors added to the limits for few runs
+GAUGE = 1e-6  # component along an unidentifiable direction above which a parameter counts as gauge-dependent
 
 
 @dataclass(frozen=True, eq=False)
 class ContractTrial:
-    """Arguments of `check_estimator`, and a cache of the runs that several checks share."""
+    """Arguments of `check_estimator`, and a cache of runs shared by several checks."""
 
     fit: Callable[..., Fit[Any]]
     experiment: Callable[[int, int], Experiment]
@@ -50,7 +50,7 @@ class ContractTrial:
 
 @dataclass(frozen=True, eq=False)
 class FitRun:
-    """Error of one run, with its stated covariance in the same coordinates."""
+    """Error of one run, with the reported covariance in the same coordinates."""
 
     e: np.ndarray
     C: np.ndarray
@@ -59,7 +59,7 @@ class FitRun:
 
     @property
     def nees(self) -> float:
-        """Squared error in the metric of the stated covariance, along its identified directions."""
+        """Squared error in the metric of the reported covariance, along identified directions only."""
         sd = _sd(self.C)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
@@ -94,7 +94,7 @@ def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
 
 
 def _weight(runs: list[FitRun]) -> np.ndarray:
-    """Return the inverse of the mean stated covariance, so that errors with different units are comparable."""
+    """Return the inverse of the mean reported covariance, which makes errors with different units comparable."""
     C = np.mean([r.C for r in runs], axis=0)
     sd = _sd(C)
     return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
@@ -114,7 +114,7 @@ def _se(runs: list[FitRun]) -> float:
 
 
 def consistent(trial: ContractTrial) -> Verdict:
-    """Four times as many samples halve the error, or reduce it in proportion to the bound of random experiments."""
+    """Four times as many samples halve the error or, with a given Cramer-Rao bound, reduce it like the bound."""
     few, many = _runs(trial, 1), _runs(trial, 4)
     W = _weight(few)
     ratio, found = _rms(many, W) / _rms(few, W), ""
@@ -124,12 +124,12 @@ def consistent(trial: ContractTrial) -> Verdict:
     low, high = trial.limits.consistent
     slack = STANDARD_ERRORS * np.sqrt(2.0) * _se(few) * 0.5
     low, high = min(low, 0.5 - slack), max(high, 0.5 + slack)
-    text = f"ratio of the errors with 4 N and N samples: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
+    text = f"error ratio for 4 N versus N samples: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
     return bool(low <= ratio <= high), text
 
 
 def honest(trial: ContractTrial) -> Verdict:
-    """The mean NEES is equal to its dimension, and 95 % intervals contain 95 % of the true values."""
+    """The mean NEES equals its dimension, and 95 % intervals contain 95 % of the true values."""
     runs = _runs(trial, 1)
     dim = runs[0].rank
     nees = float(np.mean([r.nees / r.rank for r in runs]))
@@ -164,7 +164,7 @@ def efficient(trial: ContractTrial) -> Verdict:
         passed &= ratio <= limit
         parts.append(f"{name} {ratio:.3f} (accepted {limit:.3f})")
     text = "ratio of the error to the Cramer-Rao bound: " + ", ".join(parts)
-    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged from {ENOUGH} runs on")
+    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged only for {ENOUGH} runs or more")
 
 
 def robust(trial: ContractTrial) -> Verdict:
@@ -229,7 +229,7 @@ def _length(e: np.ndarray, C: np.ndarray) -> float:
 
 
 def gauge_free(trial: ContractTrial) -> Verdict:
-    """A change of frame or unit transforms the estimate accordingly."""
+    """The estimate transforms correctly under a change of frame or unit."""
     if not trial.gauges:
         return False, "no change of frame or unit to test with: pass gauges, or skip with a reason"
     parts, passed = [], True
@@ -246,14 +246,14 @@ def gauge_free(trial: ContractTrial) -> Verdict:
 
 
 def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
-    """Return the largest error relative to its parameter; infinity if the errors are in different coordinates."""
+    """Return the largest error relative to its parameter; infinity for errors in different coordinates."""
     if e.shape != fit.parameters.shape:
         return np.inf
     return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
 
 
 def refuses(trial: ContractTrial) -> Verdict:
-    """Data that leave a direction undetermined raise NotExcited with the name of the direction."""
+    """Data that leave a direction undetermined raise NotExcited, which names the direction."""
     if not trial.refusals:
         return False, "no data without excitation to test with: pass refusals, or skip with a reason"
     wrong = []
@@ -263,14 +263,14 @@ def refuses(trial: ContractTrial) -> Verdict:
             wrong.append(f"{words!r} was accepted")
         except NotExcited as error:
             if not any(words in direction for direction in error.directions):
-                wrong.append(f"{words!r} was named {'; '.join(error.directions)}")
-        except Exception as error:  # a wrong error is a finding
+                wrong.append(f"{words!r} was reported as {'; '.join(error.directions)}")
+        except Exception as error:  # any other exception is a finding
             wrong.append(f"{words!r} raised {type(error).__name__}")
     return not wrong, "; ".join(wrong) or f"{len(trial.refusals)} cases raise NotExcited naming the direction"
 
 
 def saves(trial: ContractTrial) -> Verdict:
-    """A saved fit loads bit-identically, but not as a different kind."""
+    """A saved fit loads bit-identically; loading it as a different kind fails."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     with tempfile.TemporaryDirectory() as folder:
         path = fit.save(Path(folder) / "fit.toml")
@@ -291,7 +291,7 @@ def explains(trial: ContractTrial) -> Verdict:
     """The report contains the unit and the standard deviation of every value."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     text = fit.report()
-    null = fit.excitation.null_space  # values that depend on the gauge are meaningless
+    null = fit.excitation.null_space  # gauge-dependent values are meaningless
     shown = ~np.any(np.abs(null) > GAUGE, axis=1) if null.size else np.ones(len(fit.names), dtype=bool)
     missing = [name for name, needed in zip(fit.names, shown) if needed and name not in text]
     missing += [unit for unit, needed in zip(fit.units, shown) if needed and unit not in text]
@@ -302,7 +302,7 @@ def explains(trial: ContractTrial) -> Verdict:
 
 
 def clean(trial: ContractTrial) -> Verdict:
-    """Inputs stay unchanged, outputs are read-only, results are reproducible, and an error names the row of a NaN."""
+    """Inputs stay unchanged, outputs are read-only, results are reproducible, and errors name the row of a NaN."""
     data = dict(trial.experiment(trial.seed, trial.n).data)
     before = [(name, array.tobytes()) for name, array in _arrays(data)]
     fit = trial.fit(**data)
@@ -316,7 +316,7 @@ def clean(trial: ContractTrial) -> Verdict:
 
 
 def _nan_faults(trial: ContractTrial) -> list[str]:
-    """Return the faults of the fit for arrays of samples that contain NaN."""
+    """Return the faults of the fit for sample arrays that contain NaN."""
     row, faults, tried = trial.n // 2, [], 0
     for name, data in _with_nan(dict(trial.experiment(trial.seed, trial.n).data), trial.n, row):
         tried += 1
@@ -326,13 +326,13 @@ def _nan_faults(trial: ContractTrial) -> list[str]:
         except ShapeError as error:
             if str(row) not in str(error):
                 faults.append(f"NaN in {name} raised an error without its row")
-        except Exception as error:  # a wrong error is a finding
+        except Exception as error:  # any other exception is a finding
             faults.append(f"NaN in {name} raised {type(error).__name__}")
     return faults if tried else ["no array of samples to test with NaN"]
 
 
 def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    from armlab.log import Table  # imported here because it would double the import time of estimation
+    from armlab.log import Table  # a top-level import would double the import time of estimation
 
     for name, value in data.items():
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape[:1] == (n,):
@@ -385,7 +385,7 @@ class Experiment(Shown):
     ----------
     data : keyword arguments of the fit: arrays with samples along axis 0, Tables, noise and options.
     truth : expected parameters (d,) of the fit, or any value that the argument `error` interprets.
-    bound : (d, d) Cramer-Rao bound of the errors; required to judge efficiency.
+    bound : (d, d) Cramer-Rao bound of the errors; required to assess efficiency.
     """
 
     data: Mapping[str, Any]
@@ -400,8 +400,8 @@ class Gauge(Shown):
     Attributes
     ----------
     name : description.
-    change : function from data to the same data in other frames or units.
-    expect : function from the fit of the original data to the expected result with the changed data.
+    change : function that returns the data in other frames or units.
+    expect : function that maps the fit of the original data to the expected result for the changed data.
     """
 
     name: str
@@ -419,7 +419,7 @@ class ContractLimits(Shown):
     ----------
     consistent : ratio of the error with 4 N samples to the error with N samples.
     honest : NEES divided by its dimension.
-    covered : coverage of the stated 95 % intervals.
+    covered : coverage of the reported 95 % intervals.
     efficient : ratio of the error to the Cramer-Rao bound.
     robust : ratio of the error with 5 % outliers to the error with only the good samples.
     false : largest fraction of good samples that may be flagged as outliers.
@@ -434,7 +434,7 @@ class ContractLimits(Shown):
 
     @classmethod
     def of(cls, runs: int, noise_given: bool) -> ContractLimits:
-        """Return the limits of the test suite or, from 1000 runs on, those of the benchmark.
+        """Return the limits of the test suite or, for at least 1000 runs, of the benchmark.
 
         Parameters
         ----------
@@ -471,7 +471,7 @@ class Contract(Shown):
 
     @property
     def passed(self) -> bool:
-        """Whether no property failed."""
+        """Whether all checked properties passed."""
         return all(one.passed is not False for one in self.properties)
 
     @property
@@ -493,7 +493,7 @@ class Contract(Shown):
 
 
 def difference(fit: Fit[Any], truth: Any) -> np.ndarray:
-    """Return the error (d,) of the parameters of a fit relative to a truth of the same shape."""
+    """Return the parameter error (d,) of a fit relative to a truth of the same shape."""
     return fit.parameters - np.asarray(truth)
 
 
@@ -513,26 +513,25 @@ def check_estimator(
     skip: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> Contract:
-    """Test a fit for the ten properties of the statistical contract; the result lists the failures.
+    """Test a fit against the ten properties of the statistical contract; the result lists the failures.
 
     Parameters
     ----------
     fit : function that takes `Experiment.data` as keyword arguments and returns a `Fit`.
     experiment : function of (seed, n) that returns an `Experiment` of n samples; equal seeds give equal experiments.
-    runs : number of experiments; from 1000 on, the narrower limits of the benchmark apply and efficiency is judged.
-    n : number of samples of an experiment; the test of consistency also needs experiments with 4 n samples.
+    runs : number of experiments. With at least 1000, narrower benchmark limits apply and efficiency is assessed.
+    n : number of samples per experiment; the consistency test also runs experiments with 4 n samples.
     error : function of (fit, truth) that returns the error (d,) in the coordinates of `fit.cov`, or an error (m,) and
-        its covariance (m, m), for example the errors of validation poses if `fit.cov` is rank-deficient.
-    blocks : indices of the error components whose efficiency is judged separately, keyed by name; default: the whole
+        its covariance (m, m). If `fit.cov` is rank-deficient, return for example the errors at validation poses.
+    blocks : indices of error components whose efficiency is assessed separately, keyed by name; default: the whole
         error.
-    gauges : changes of frame or unit to test with.
-    refusals : data for which the fit must raise `NotExcited`; the keys are words that the name of a direction must
-        contain.
-    spoil : function of (data, rng) that returns data with 5 % gross outliers and the option that enables their
-        detection, and the mask of the outliers (N,), or None if the fit does not flag outliers.
+    gauges : changes of frame or unit to test.
+    refusals : data for which the fit must raise `NotExcited`, keyed by words that the name of a direction must contain.
+    spoil : function of (data, rng) that returns the data with 5 % gross outliers and outlier detection enabled, and the
+        outlier mask (N,); the mask is None if the fit does not flag outliers.
     noise_given : False if the fit estimates the noise; NEES then exceeds 1 by about 2 / (degrees of freedom).
-    limits : acceptance limits; default: from the specification, for this number of runs.
-    skip : reason for skipping each property; the keys are names of properties.
+    limits : acceptance limits; default: `ContractLimits.of` for this number of runs.
+    skip : reasons for skipping properties, keyed by property name.
     seed : seed of the first experiment.
 
     Raises
@@ -552,7 +551,7 @@ def check_estimator(
     for name, judge in JUDGES.items():
         try:
             verdict = (None, f"skipped: {reasons[name]}") if name in reasons else judge(trial)
-        except Exception as fault:  # any exception of a fit is a finding
+        except Exception as fault:  # any exception raised by a fit is a finding
             verdict = False, f"raised {type(fault).__name__}: {fault}"
         found.append(Property(name, *verdict))
     return Contract(tuple(found), runs)

@@ -1,11 +1,11 @@
-"""Total least squares, with errors in the regressor and the measurement.
+"""Total least squares: errors in both the regressor and the measurements.
 
     (A - E_A) x = y - e_y,    the rows of [E_A e_y] are independent with covariance C_i
 
 With rows z = [a y], w = [x; -1] and ``s_i = w^T C_i w``, the maximum-likelihood x minimises
 ``sum_i (z_i . w)^2 / s_i``. Row i is corrected by ``C_i w (z_i . w) / s_i``, and the corrected rows give the covariance
 of x, ``(sum_i a_i a_i^T / s_i)^-1``. With a common covariance ``sigma^2 I``, the problem is solved by singular value
-decomposition after elimination of the exact columns.
+decomposition after eliminating the exact columns.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class TotalSolution:
 
     x: np.ndarray  # (p,) parameters
     cov: np.ndarray  # (p, p) covariance of the parameters, to first order in the errors
-    sigma: float  # estimated standard deviation of the errors; 1 if the given covariance is correct
+    sigma: float  # estimated standard deviation of the errors; about 1 if the given covariance is correct
     corrections: np.ndarray  # (N, p + 1) estimated errors of [A y]; rows minus these errors are consistent with x
     outliers: np.ndarray  # (N,) mask of excluded rows
     excitation: Excitation
@@ -55,10 +55,10 @@ def total_least_squares(
     A : (N, p) regressor, N > p.
     y : (N,) measurements.
     cov : (p + 1, p + 1) covariance of the errors of a row [a y], or (N, p + 1, p + 1), one per row (weighted total
-        least squares). Zero rows and columns mark exact columns of A; y must have errors. Default: the standard
-        deviation is the same for all errors and is estimated.
-    exact : columns of A without errors, for example the column of an offset; with `cov`, use zeros instead.
-    robust : detect outliers if `cov` is given; `outliers` marks them.
+        least squares). Zero rows and columns mark exact columns of A; y must have errors. Default: all errors have the
+        same standard deviation, which is estimated.
+    exact : error-free columns of A, for example an offset column; with `cov`, use zeros instead.
+    robust : detect outliers and mark them in `outliers`; requires `cov`.
     names : names of the p parameters, for messages.
 
     Raises
@@ -69,8 +69,8 @@ def total_least_squares(
 
     References
     ----------
-    Golub and Van Loan (1980); Golub, Hoffman and Stewart (1987) for exact columns; Van Huffel and Vandewalle (1991),
-    The total least squares problem.
+    Golub and Van Loan (1980); Golub, Hoffman and Stewart (1987) (exact columns); Van Huffel and Vandewalle (1991), The
+    total least squares problem.
     """
     A, y = _checked(A, y)
     p = A.shape[1]

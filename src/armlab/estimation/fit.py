@@ -44,31 +44,31 @@ class Fit(Shown, Generic[Value]):
     names, units : tuple of str
         Names and units of the d parameters.
     parameters : ndarray, shape (d,)
-        Values of the parameters.
+        Parameter values.
     cov : ndarray, shape (d, d)
         Covariance of the parameters with rank `rank`; zero along unidentified directions.
     sigma : ndarray
-        Noise estimated per class of measurement, in its unit.
+        Estimated noise standard deviation of each measurement class, in the unit of the class.
     residuals : ndarray, shape (N, ...)
         Residuals in SI units, not whitened; empty if the fit was read from a file.
     n : int
         Number of samples used.
     excitation : Excitation
-        Directions identified by the data, and the quality of their excitation.
+        Identified directions, and how well the data excite them.
     summary : callable, optional
-        Function that creates the text of `report`.
+        Function that returns the text of `report`.
     outliers : ndarray of bool, shape (N,)
         True for excluded samples; empty for fits without outlier detection.
     classes : tuple of str
-        Names of the classes of measurement with their units, such as "position [m]".
+        Names and units of the measurement classes, such as "position [m]".
     formal_cov : ndarray, shape (d, d), optional
-        Covariance that assumes white residuals. Set only if `cov` accounts for time correlation; it is then far too
-        small. None if `cov` itself assumes white residuals, or if the fit was read from a file.
+        Covariance for white residuals; far too small if the residuals are correlated in time. None if `cov` itself
+        assumes white residuals, or if the fit was read from a file.
     doubts : tuple of str
         Reasons why the fit may be unreliable, such as failed residual tests or suspicious units, one sentence each.
         Empty for a good fit.
     notes : tuple of str
-        Report lines about repaired data and directions held by a prior; empty if the fit was read from a file.
+        Report lines on repaired data and on directions held by a prior; empty if the fit was read from a file.
     """
 
     value: Value
@@ -112,7 +112,7 @@ class Fit(Shown, Generic[Value]):
                 object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Support copying and pickling; the report is stored as text."""
+        """Support copying and pickling by storing the report as text."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.summary is not None:
             kept["summary"] = partial(_said, self.report())
@@ -130,7 +130,7 @@ class Fit(Shown, Generic[Value]):
 
     @property
     def rank(self) -> int:
-        """Rank of the covariance scaled to a unit diagonal, which is the number of identified directions."""
+        """Number of identified directions: the rank of the covariance scaled to a unit diagonal."""
         sd = np.where(self.sd > 0, self.sd, 1.0)
         return int(np.linalg.matrix_rank(self.cov / np.outer(sd, sd), tol=1e-9, hermitian=True)) if len(sd) else 0
 
@@ -141,11 +141,11 @@ class Fit(Shown, Generic[Value]):
         return html_table(f"Fit of {brief(self.value)}", ("parameter", "value", "sd", "unit"), rows, after)
 
     def report(self) -> str:
-        """Return a report of the fit with text and tables."""
+        """Return the report of the fit as text with tables."""
         return self.table() if self.summary is None else self.summary(self)
 
     def table(self, shown: np.ndarray | None = None) -> str:
-        """Return a summary: one line per parameter with unit and standard deviation, then noise, outliers and doubts.
+        """Return one line per parameter with standard deviation and unit, then the noise, outliers and doubts.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Fit(Shown, Generic[Value]):
         Parameters
         ----------
         path : path of the file, ending in ``.toml``.
-        sources : names of the files that contain the samples; stored with their SHA-256.
+        sources : files that contain the samples; their names are stored with SHA-256 checksums.
         """
         statistics = {name: getattr(self, name) for name in SAVED}
         statistics |= {f"excitation_{name}": getattr(self.excitation, name) for name in EXCITATION}
@@ -177,7 +177,7 @@ class Fit(Shown, Generic[Value]):
 
     @classmethod
     def load(cls, path: str | Path, kind: str | None = None) -> Fit[Any]:
-        """Read a fit written by `save`; it contains everything except the residuals.
+        """Read a fit written by `save`; the residuals are not stored.
 
         Parameters
         ----------

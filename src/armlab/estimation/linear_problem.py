@@ -12,19 +12,19 @@ from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.tsqr import Factors, triangle
 
-MAX_CONDITION = 1e4  # condition number beyond which a direction counts as not excited
+MAX_CONDITION = 1e4  # condition number above which a direction counts as not excited
 WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is unobservable, not weak
 NAMED = 0.3  # fraction of the largest component above which a component is named
 
-UNOBSERVABLE = 1e-3  # effect of a prior SD on all rows, in noise SDs, below which the data carry no information
+UNOBSERVABLE = 1e-3  # effect of one prior SD on the rows, in noise SDs, below which the data carry no information
 
 Describe = Callable[[np.ndarray], str]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prior(Shown):
-    """Prior knowledge of the parameters, independent for each parameter.
+    """Independent priors on the parameters.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Prior(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation(Shown):
-    """Quality of the excitation of the parameters by the data.
+    """Excitation of the parameters by the data.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Excitation(Shown):
     weakest : description of the least excited direction.
     scale : (p,) norms of the columns; 1 for zero columns.
     vectors : (p, p) right singular vectors of the scaled matrix as columns, strongest first.
-    held : descriptions of the directions that the prior determines instead of the data.
+    held : descriptions of the directions determined only by the prior.
     null_space : (p, m) orthonormal unobservable directions, in units of the limits.
     null_names : descriptions of the unobservable directions; "gauge: " marks directions that no data can determine.
     spread : (p,) standard deviations along the directions `vectors`, in units of the limits; empty without limits.
@@ -79,7 +79,7 @@ class Excitation(Shown):
         ----------
         A : (m, p) whitened design matrix, or its triangle R (p, p).
         names : names of the p parameters.
-        max_condition : largest ratio of the strongest singular value to a singular value that counts in the rank.
+        max_condition : ratio of the largest singular value to the smallest that still counts towards the rank.
         """
         A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
@@ -136,7 +136,7 @@ class Excitation(Shown):
 def check_excitation(
     A: np.ndarray, names: Sequence[str], what: str, prior: Prior | None = None, max_condition: float = MAX_CONDITION
 ) -> Excitation:
-    """Return the excitation of a whitened design matrix (m, p); raise on weak directions unless there is a prior."""
+    """Return the excitation of a whitened design matrix (m, p); weak directions raise an error without a prior."""
     A = numbers(A, "a design matrix", ShapeError)
     if prior is not None:
         values, sd, p = np.asarray(prior.values), np.asarray(prior.sd), len(names)
@@ -183,9 +183,9 @@ def check_spread(
 ) -> Excitation:
     """Return the excitation, or raise an error if the standard deviation along a direction exceeds its limit.
 
-    In units of the limits (p,), it is ``1 / |J diag(limits) v|`` along v, with J (m, p) the whitened Jacobian of the
-    data or its triangle. `describe` names a direction (p,) whose length is one standard deviation, or the limits if it
-    is unobservable.
+    In units of the limits (p,), the standard deviation along v is ``1 / |J diag(limits) v|``, where J (m, p) is the
+    whitened Jacobian of the data or its triangle. `describe` returns the name of a direction (p,), which is scaled to
+    one standard deviation, or to the limits if it is unobservable.
     """
     p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
@@ -211,8 +211,8 @@ def check_spread(
     if len(weak):
         directions = [words(int(i)) for i in weak]
         raise NotExcited(
-            f"Expected data that determine every direction of the {what}, but standard deviations are beyond their "
-            f"limit along: {'; '.join(directions)}. Measure at poses that differ more along these directions.",
+            f"Expected data that determine every direction of the {what}, but standard deviations exceed their "
+            f"limits along: {'; '.join(directions)}. Measure at poses that differ more along these directions.",
             directions,
             ["unobservable" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[weak]],
         )
@@ -235,9 +235,9 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     """Return the point of the box nearest to x (p,), ``min (z - x)^T cov^-1 (z - x)`` over ``lower <= z <= upper``.
 
     With the active bounds A, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``. A is optimal if every
-    free z is inside and every multiplier m points inwards. Block principal pivoting exchanges all violations at once.
-    After ten rounds without progress, it exchanges only one at a time, which always terminates (Portugal, Judice and
-    Vicente 1994).
+    free z is inside and every multiplier m points inwards. Block principal pivoting exchanges all violating variables
+    at once. After ten rounds without progress, it exchanges only one at a time, which always terminates (Portugal,
+    Judice and Vicente 1994).
     """
     if np.all((x >= lower) & (x <= upper)):
         return x
@@ -331,11 +331,11 @@ class LinearSolution:
     basis: np.ndarray  # (p, r) determined directions, R @ basis orthonormal
     excitation: Excitation
     active: tuple[ActiveBound, ...]
-    growth: float  # relative growth of the residual due to the active bounds
+    growth: float  # relative increase of the residual due to the active bounds
     factors: Factors  # with the row weights of a robust solution
     measured: Factors  # without row weights
     kept: np.ndarray  # (B,) mask of the time blocks used
-    stretch: float = 1.0  # ratio of the variation of a robust solution to that of the weighted solution
+    stretch: float = 1.0  # spread of a robust solution relative to the weighted solution
     row_weights: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)  # (M,) of a robust solution
     rounds: int = 1
     converged: bool = True
@@ -350,20 +350,20 @@ class LinearSolution:
 
     @property
     def held_cov(self) -> np.ndarray:
-        """Covariance (p, p) of the prior along the directions held by the prior; zero without a prior."""
+        """Prior covariance (p, p) along the directions held by the prior; zero without a prior."""
         return _held_covariance(self.excitation, self.problem.prior)
 
 
-MANY = 30.0  # degrees of freedom beyond which classes are pooled
+MANY = 30.0  # degrees of freedom above which classes are pooled
 POINTS, GOLDEN = 4096, 1.32471795724  # quasi-random sequence of Roberts
 NEGLIGIBLE = 1e-6  # effective parameters below which a class is ignored
 
 
 def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
-    """Return the covariance factor for which the 95 % region of chi^2 has a coverage of 95 %.
+    """Return the factor on the covariance that gives the 95 % chi-squared region a coverage of 95 %.
 
-    The squared error is distributed as ``sum_c d_c F(d_c, nu_c)`` if class c determines d_c of the parameters and
-    estimates its noise with nu_c degrees of freedom (infinite for given noise); `d` and `nu` are (C,).
+    The squared error is distributed as ``sum_c d_c F(d_c, nu_c)`` if class c determines d_c of the parameters and its
+    noise is estimated with nu_c degrees of freedom (infinite for given noise); `d` and `nu` are (C,).
     """
     from scipy.special import chdtri, fdtri
 
@@ -451,14 +451,14 @@ def _free_solution(
         basis = basis[:, seen[: basis.shape[1]]]
         orthonormal = R @ basis
         x = basis @ (orthonormal.T @ y)
-        return x + basis @ (orthonormal.T @ (y - R @ x))  # corrects the orthogonality of R @ basis
+        return x + basis @ (orthonormal.T @ (y - R @ x))  # corrects for R @ basis not being exactly orthonormal
     held = excitation.vectors[:, excitation.rank :]
     known = held @ (held.T @ (excitation.scale * prior.values)) / excitation.scale
     return known + basis @ ((R @ basis).T @ y)
 
 
 def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
-    """Return the covariance (p, p) of the prior along the directions that it holds."""
+    """Return the prior covariance (p, p) along the directions held by the prior."""
     held = excitation.vectors[:, excitation.rank :]
     if prior is None or not held.size:
         return np.zeros((excitation.expected,) * 2)

@@ -1,4 +1,4 @@
-"""Maximum-likelihood estimation on manifolds with unknown noise and outliers; the solver of the calibration fits.
+"""Maximum-likelihood estimation on manifolds with unknown noise and outliers; solver of all calibration fits.
 
 The unknown noise of each measurement class c is estimated iteratively, in whitened quantities:
 
@@ -29,14 +29,14 @@ from armlab.estimation.tsqr import triangle
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement(Shown):
-    """Residuals of one kind of measurement for given values of the unknowns.
+    """Residuals of one kind of measurement at given values of the unknowns.
 
     Attributes
     ----------
-    r : (m, k) residuals in SI units, k numbers for each of m measurements.
+    r : (m, k) residuals in SI units, k components for each of m measurements.
     J : (m, k, d) derivatives of the residuals with respect to a step of `retract`.
     cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None to estimate one standard deviation per class.
-    classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
+    classes : noise class of each of the k components, for example ("t", "t", "t", "R", "R", "R").
     sample : (m,) index of the sample (pose, scan or point) of each measurement; default: 0 to m - 1. Outliers are
         detected per sample.
     prior : True for prior knowledge, which cannot be an outlier and does not enter the noise estimate.
@@ -131,7 +131,7 @@ class Whitened:
 
     @cached_property
     def channel(self) -> np.ndarray:
-        """Index (M,) of the time series of each row: component of the measurement, and position within its sample."""
+        """Time series index (M,) of each row, from its measurement component and its position within the sample."""
         found, first = [], 0
         for one in self.measurements:
             (m, k), rank = one.r.shape, np.zeros(len(one.r), dtype=int)
@@ -160,7 +160,7 @@ class Whitened:
         return np.bincount(self.sample + 1, minlength=count + 1)[1:]
 
     def times(self, weight: np.ndarray) -> Whitened:
-        """Return the rows scaled by the root of the sample weights (N,), without rows of weight 0; priors unscaled."""
+        """Scale the rows by the root of the sample weights (N,) and drop rows of weight 0; priors stay unscaled."""
         if np.all(weight == 1.0):
             return self
         root = np.sqrt(np.append(weight, 1.0))[self.sample]
@@ -200,11 +200,11 @@ Value = TypeVar("Value")
 ITERATIONS = 100
 STEP = 1e-9  # step at convergence, in standard deviations of the estimate
 ROUNDING = 1e-13  # relative rounding error of the cost
-IDLE, PATIENCE = 1e-3, 5  # limits of rounding: step in standard deviations, and number of steps without progress
-EXACT = 1e-3  # ratio of the residual to its standard deviation below which all steps are rounding errors
+IDLE, PATIENCE = 1e-3, 5  # rounding floor: step in standard deviations, and number of steps without progress
+EXACT = 1e-3  # RMS of the whitened residuals below which all steps are rounding errors
 MAX_DAMPING = 1e15
 ROUNDED = 1e-9  # RMS of residuals in SI units below which they are rounding, not noise
-WELL_CONDITIONED = 1e7  # condition of a triangle below which its inverse is accurate
+WELL_CONDITIONED = 1e7  # condition number of a triangle below which its inverse is accurate
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which a direction is unobservable
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
 
@@ -215,9 +215,9 @@ class NonlinearProblem(Shown, Generic[Value]):
 
     Attributes
     ----------
-    evaluate : function from a value to its residuals with their Jacobian at zero step.
-    retract : function from a value and a step x (d,) to the value moved by the step.
-    scale : (d,) unit of each component of x, for the minimum-norm step; default: the inverse norm of its column of J.
+    evaluate : function that returns the residuals of a value and their Jacobian at zero step.
+    retract : function that returns a value moved by a step x (d,).
+    scale : (d,) unit of each component of x, for the minimum-norm step; default: inverse norms of the columns of J.
     what : name of the fitted quantity, for messages.
     residue : standard deviation in SI units below which residuals are rounding errors.
     """
@@ -263,9 +263,9 @@ def descend(
 ) -> Descent[Value]:
     """Minimise the whitened cost by damped Gauss-Newton steps (Madsen, Nielsen and Tingleff 2004, algorithm 3.16).
 
-    The covariance is fixed during a step, so that the predicted decrease of the cost judges the step. The descent has
-    converged when the step is below 1e-9 standard deviations of the estimate, or the cost is at its rounding floor. If
-    not `strict`, it may stop earlier; rows and basis are then those before the last step.
+    The covariance stays fixed during a step, which makes the actual and the predicted cost decrease comparable. The
+    descent has converged when the step is below 1e-9 standard deviations of the estimate, or the cost is at its
+    rounding floor. If not `strict`, it may stop earlier; rows and basis are then those before the last step.
     """
     value, now = start, problem.evaluate(start)
     damping, growth, here = 0.0, 2.0, None
@@ -283,7 +283,7 @@ def descend(
         idle = here.step < IDLE or 2.0 * height < EXACT**2 * len(rows.r)
         if here.step < STEP or (idle and waited > PATIENCE):
             return here
-        rounding = 0.5 * here.step**2 < ROUNDING * height  # progress shows only in the step lengths, not in the cost
+        rounding = 0.5 * here.step**2 < ROUNDING * height  # only step lengths show progress; the cost is rounded
         while True:
             x, promise = slope.step(damping)
             trial = problem.retract(value, x)
@@ -316,7 +316,7 @@ def _not_converged(problem: NonlinearProblem[Any], value: Any, history: list[flo
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Linearised problem; the costly singular values are computed only if the problem is nearly singular or damped."""
+    """Linearised problem; singular values are costly and computed only for nearly singular or damped problems."""
 
     R: np.ndarray
     scale: np.ndarray
@@ -371,12 +371,12 @@ class _Linearised:
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0)
 UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
-NARROW = 3  # last values of c used from a nearby start
+NARROW = 3  # number of final values of c, used alone for a near start
 REWEIGHTED = 20  # iterations per c
 NEXT = 1e-2  # step in standard deviations below which c decreases
 SETTLED = 1e-6  # relative change of sigma at convergence
-NOISE_ROUNDS, MIXED_ROUNDS = 20, 100  # maximum number of iterations; more with a known part of the noise
-FLAGGED, FLAG_ROUNDS = 0.999, 3  # quantile of chi^2 beyond which a sample is an outlier; maximum number of iterations
+NOISE_ROUNDS, MIXED_ROUNDS = 20, 100  # maximum number of noise iterations, without and with a known noise part
+FLAGGED, FLAG_ROUNDS = 0.999, 3  # quantile of chi^2 above which a sample is an outlier; maximum number of iterations
 MIN_IMPROVEMENT = 1.3  # factor by which an alternative solution must reduce the noise
 
 
@@ -437,15 +437,15 @@ def nonlinear_least_squares(
     start : initial value.
     robust : detect outliers among the samples; `outliers` marks them.
     schedule : values of c of the graduated loss, in standard deviations, for given noise.
-    near : True if the start already fits the good samples; the loss is then narrow from the beginning, so that outliers
+    near : True if the start already fits the good samples. The loss is then narrow from the beginning, so outliers
         cannot bias the estimate.
-    majority : with `robust` and unknown noise, also search near the solution for the fit of most samples. Needed if a
-        third of the samples share the same error, because they bias the estimate and inflate the noise scale.
+    majority : with `robust` and unknown noise, also search for the fit of most samples near the solution. Needed if a
+        third of the samples share the same error: they bias the estimate and inflate the noise scale.
 
     Raises
     ------
     NotConverged : the descent did not converge.
-    NotExcited : there are fewer residuals than unknowns after the exclusion of outliers.
+    NotExcited : after excluding outliers, there are fewer residuals than unknowns.
 
     References
     ----------
@@ -599,7 +599,7 @@ def _is_mixed(found: Descent[Any]) -> bool:
 
 
 def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
-    """Return the next standard deviation (classes,) with a known part of the noise, S_i - diag(sigma^2).
+    """Return the updated standard deviations (classes,) if a part S_i - diag(sigma^2) of the noise is known.
 
     ``sigma_c^2 <- sigma_c^2 sum (S^-1 r)^2 / sum (diag(S^-1) - |S^-1 J basis|^2)``, summed over the rows of class c.
     """
@@ -634,10 +634,10 @@ def _solution(
     freedom = len(rows.r) - rank
     if freedom < 0 or (sigma and freedom < 1):
         raise NotExcited(
-            f"Expected at least {rank + bool(sigma)} numbers to fit the {problem.what}, got {len(rows.r)} "
+            f"Expected at least {rank + bool(sigma)} residuals to fit the {problem.what}, got {len(rows.r)} "
             f"({int(np.sum(weight == 0))} samples excluded). Measure more samples.",
             ["everything"],
-            [f"{len(rows.r)} numbers"],
+            [f"{len(rows.r)} residuals"],
         )
     by_rounds = _is_mixed(found) or _without_freedom(found, sigma)
     return NonlinearSolution(
@@ -652,7 +652,7 @@ def _solution(
 def covariance_of(
     rows: Whitened, basis: np.ndarray, U: np.ndarray, estimated: frozenset[str], robust: bool
 ) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
-    """Return the covariance, the covariance for white residuals if different, and the residual check.
+    """Return the covariance, the covariance for white residuals (if different), and the residual check.
 
     `basis` is (d, r) with orthonormal U = J basis; `estimated` lists the classes with estimated noise.
     """

@@ -1,10 +1,10 @@
-"""Tests of residuals in time order, and the covariance for time-correlated residuals.
+"""Residual tests in time order, and the parameter covariance for time-correlated residuals.
 
 White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of equal sign, halves and tails
-are compared with their distribution under M, so that few samples or many parameters raise no false alarm. If neighbours
-are correlated, the noise of each class is modelled as AR(1) plus white noise. The model is averaged over the restricted
-likelihood (Harville 1977) of correlation time and white fraction. The covariance of the least-squares estimate under
-this noise is basis U^T Omega U basis^T.
+are compared with their distribution under M, so few samples or many parameters cause no false alarms. If neighbouring
+residuals are correlated, the noise of each class is modelled as AR(1) plus white noise. Models with different
+correlation times and white fractions are averaged, weighted by their restricted likelihood (Harville 1977). Under this
+noise, the least-squares estimate has the covariance basis U^T Omega U basis^T.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-ALARM = 3.5  # standard deviations beyond which a test fails
+ALARM = 3.5  # z-score above which a test fails
 RARE = 4.7e-4  # p-value below which a test fails; equivalent to ALARM
 ENOUGH = 8  # degrees of freedom and neighbour pairs needed for a test
-OPEN = 1e-6  # smallest share of the information on a direction in each half for a comparison of the halves
-WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)  # fractions of white noise that are tried
+OPEN = 1e-6  # minimum fraction of a direction's information in each half for comparing the halves
+WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)  # white-noise fractions of the models
 SHORTEST, TIMES_PER_DECADE = 0.3, 4  # shortest correlation time, in samples, and number of times per decade
 REACH = 3.0  # longest correlation time, in record lengths
-SHORTER = 0.4  # prior tau^-0.4 of correlation times; chosen with REACH for correct coverage at 30 to 300 samples
+SHORTER = 0.4  # prior tau^-0.4 of correlation times; tuned with REACH for correct coverage at 30 to 300 samples
 LIKELY = 1e-3  # relative likelihood below which a model is ignored
 CHUNK = 256  # samples whose filtered rows are held in memory
 
@@ -39,7 +39,7 @@ class ResidualCheck:
     halves_p: float  # p-value of `halves` for white noise
     size: float = 1.0  # RMS of the whitened residuals; 1 for estimated noise
     size_p: float = 1.0  # p-value of `size` for the given noise
-    growth: float = 1.0  # largest factor on the standard deviations due to correlation
+    growth: float = 1.0  # largest factor by which correlation increases a standard deviation
     robust: bool = False  # whether outliers were detected
 
     @property
@@ -88,7 +88,7 @@ class Series:
 
 
 def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
-    """Test the residuals of a fit with (`robust`) or without outlier detection, and with given or estimated noise."""
+    """Test the residuals of a fit; `robust`: outliers were detected, `given`: the noise was given, not estimated."""
     from scipy.special import chdtrc
 
     order = np.lexsort((series.sample, series.channel))

@@ -1,8 +1,8 @@
 """Robust linear least squares: Huber's loss by reweighting, and trimmed least squares over time blocks.
 
-Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear beyond. Every row has the weight
+Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear beyond. Each row has the weight
 ``min(1, k s / |r|)``; the scale s of each class is the median absolute residual divided by 0.6745. The estimator is
-95 % efficient for Gaussian residuals, and suits isolated outliers.
+95 % efficient for Gaussian residuals, and is suited to isolated outliers.
 
 Trimmed: keep the 75 % of the time blocks that fit best together, then add every block consistent with them. This
 handles whole outlier segments, such as contacts and collisions.
@@ -53,13 +53,13 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
 
 
 def effective_samples(x: np.ndarray) -> float:
-    """Return the effective number of samples of the record x (N,), N > 1, for its mean."""
+    """Return the effective sample size of the record x (N,), N > 1, for estimating its mean."""
     return len(x) / max(2.0 * correlation_time(x, 1.0), 1.0)
 
 
 def block_seconds(residuals: np.ndarray, dt: float) -> float:
     """Return the duration of independent blocks of residuals (N, k): 0.5 s, or 4 correlation times if longer."""
-    residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
+    residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the sampling period [s]")
     return max([SHORTEST, *(CORRELATION_TIMES * correlation_time(column, dt) for column in np.transpose(residuals))])
 
 
@@ -72,7 +72,7 @@ CHUNK = 64  # resampled normal matrices held in memory
 class BlockSums(Shown):
     """Sums of the rows per time block, in the coordinates z of ``x = solution.x + solution.basis @ z``.
 
-    In these coordinates the whole problem is orthonormal, so that the normal equations lose no accuracy.
+    In these coordinates the whole problem is orthonormal, so the normal equations lose no accuracy.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class BlockSums(Shown):
     gram : (B, r, r) sums U^T U of each block.
     moment : (B, r) sums U^T r of each block.
     power : (B,) sums of squares r^T r of each block.
-    rows : (B,) number of rows of each block; zero for blocks excluded from the solution.
+    rows : (B,) number of rows in each block; zero for blocks excluded from the solution.
     """
 
     solution: LinearSolution
@@ -95,7 +95,7 @@ class BlockSums(Shown):
 
         Parameters
         ----------
-        solution : result of `least_squares`, with the weights and the included blocks.
+        solution : result of `least_squares`; its weights and included blocks are used.
         """
         factors, basis = solution.factors, solution.basis
         B, r = len(factors.rows), basis.shape[1]
@@ -151,9 +151,9 @@ class BlockSums(Shown):
             pivots = np.zeros((1, 1))
         if not np.all(pivots.min(axis=1, initial=np.inf) > MIN_EIGENVALUE * weights.max(axis=1)):
             raise NotExcited(
-                f"Expected many time blocks that determine every parameter of the {found.problem.what}, but a resample "
-                f"of the {np.count_nonzero(self.rows)} blocks leaves a parameter undetermined. Move every joint during "
-                "the whole record.",
+                f"Expected every resample of the time blocks to determine the {found.problem.what}, but a resample of "
+                f"the {np.count_nonzero(self.rows)} blocks leaves a parameter undetermined. Move every joint "
+                "throughout the recording.",
                 ["a parameter determined by few blocks"],
                 [f"{np.count_nonzero(self.rows)} blocks"],
             )
@@ -175,8 +175,7 @@ class Bootstrap(Shown):
     draws : array, shape (D, p), units of the parameters
         Solutions of the resampled problems.
     cov : array, shape (p, p), units of the parameters
-        Covariance of the estimate, which is the covariance of the draws, shrunk towards a multiple of the formal
-        covariance.
+        Covariance of the estimate: covariance of the draws, shrunk towards a multiple of the formal covariance.
     shrinkage : float
         Amount of shrinkage, from 0 to 1; near 1 for few blocks and many parameters.
     """
@@ -195,13 +194,13 @@ class Bootstrap(Shown):
 def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, length: int = 1) -> Bootstrap:
     """Bootstrap a linear solution: resample circular segments of whole blocks with replacement, and solve again.
 
-    The covariance S of the draws has the correct size, but the number of segments limits its rank, so its inverse would
-    be far too large. S is therefore shrunk to ``(1 - d) S + d trace(S) / p`` in coordinates with unit formal
+    The covariance S of the draws has the correct scale, but the number of segments limits its rank, so its inverse
+    would be far too large. S is therefore shrunk to ``(1 - d) S + d trace(S) / p`` in coordinates with unit formal
     covariance; the scatter of the segments determines d (Ledoit and Wolf).
 
     Parameters
     ----------
-    sums : sums of at least 8 segments of blocks.
+    sums : block sums that form at least 8 segments.
     draws : number of draws; default: the larger of 200 and 4 p.
     seed : seed of the random generator.
     length : number of blocks per segment; a segment should last at least 0.5 s and 4 correlation times.
@@ -213,8 +212,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
     References
     ----------
-    Politis and Romano (1992), A circular block-resampling procedure; Kunsch (1989). Robust weights stay fixed, and the
-    standard deviations are scaled: Salibian-Barrera and Zamar (2002), Bootstrapping robust estimates of regression.
+    Politis and Romano (1992), A circular block-resampling procedure; Kunsch (1989). Fixed robust weights with scaled
+    standard deviations: Salibian-Barrera and Zamar (2002), Bootstrapping robust estimates of regression. Shrinkage:
     Ledoit and Wolf (2004), A well-conditioned estimator for large-dimensional covariance matrices.
     """
     blocks = np.flatnonzero(sums.rows)
@@ -264,7 +263,7 @@ class CrossValidation(Shown):
     solutions : array, shape (k, p), units of the parameters
         Leave-one-fold-out solutions.
     rms : array, shape (k, G), units of the measurements
-        Held-out RMS residual of each fold and class of measurement.
+        Held-out RMS residual of each fold and measurement class.
     """
 
     fold: np.ndarray
@@ -277,10 +276,11 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
 
     Parameters
     ----------
-    sums : sums of the rows of the whole problem.
+    sums : block sums of the whole problem.
     folds : number of folds.
-    mode : "contiguous": each fold is one segment of time, for an unbiased test. "alternate": blocks are assigned to
-        folds cyclically, as in published results; the test is optimistic because neighbours are correlated.
+    mode : "contiguous": each fold is one contiguous time segment; the test is unbiased. "alternate": blocks are
+        assigned to folds cyclically, as in published results; the test is optimistic because neighbouring blocks are
+        correlated.
 
     Raises
     ------
@@ -308,11 +308,11 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
 
 
 HUBER = 1.345  # standard deviations beyond which the loss is linear
-HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # maximum number of iterations; last step in standard deviations of the estimate
+HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # maximum number of iterations; step at convergence, in standard deviations
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SHARE, STARTS = 0.75, 50  # fraction of the blocks in a trimmed fit; number of random starts
-FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100  # steps per start; number of continued starts; their maximum steps
-CUT = 3.0  # robust standard deviations of log RMS beyond which a block is excluded
+FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100  # steps per start; number of starts continued, and maximum steps of each
+CUT = 3.0  # robust standard deviations of log RMS above which a block is excluded
 
 
 def mad(x: np.ndarray) -> float:
@@ -389,9 +389,9 @@ def _finish(
 
 
 def least_trimmed_squares(start: LinearSolution, seed: int = 0) -> LinearSolution:
-    """Fit to the consistent time blocks (FAST-LTS, Rousseeuw and van Driessen 2006), then one reweighted step."""
+    """Fit to the mutually consistent time blocks (FAST-LTS, Rousseeuw and van Driessen 2006), then reweight once."""
     kept = start.kept
-    for _ in range(2):  # the second pass has class weights free of outliers
+    for _ in range(2):  # the second pass uses class weights estimated without outliers
         current = start if kept.all() else solve(start.problem, start.factors, kept=kept)
         whole = replace(current, kept=start.kept)
         kept = _consistent_blocks(BlockSums.of(whole), generator(seed))
@@ -424,14 +424,14 @@ def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator)
         count += 1 + count // 4
     raise NotExcited(
         f"Expected time blocks that together determine the {sums.solution.problem.what}, got {len(order)} blocks "
-        "with too little excitation. Move every joint during the whole record.",
+        "with too little excitation. Move every joint throughout the recording.",
         ["blocks"],
         [f"{len(order)} blocks"],
     )
 
 
 def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple[float, np.ndarray]:
-    """Refit to the `size` blocks with the least mean squares until convergence; return the sum of squares and z."""
+    """Refit to the `size` blocks with the smallest mean squares until convergence; return the sum of squares and z."""
     cost, before = np.inf, None
     for _ in range(steps):
         level = _mean_square(sums, z)
@@ -453,23 +453,23 @@ def _mean_square(sums: BlockSums, z: np.ndarray) -> np.ndarray:
 
 
 INLIERS = 0.6  # assumed fraction of inliers
-SUBSETS, REFINED_SETS, IMPROVED = 300, 5, 10  # number of minimal sets, of refined fits, and of their refinements
+SUBSETS, REFINED_SETS, IMPROVED = 300, 5, 10  # numbers of minimal subsets, refined fits and refinement steps
 UNOBSERVABLE = 1e-9  # relative singular value
 
 
 def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
-    """Return the step (d,) from a value biased by outliers to the fit of most samples, in the linear problem.
+    """Return the step (d,) of the linearised problem from a value biased by outliers to the fit of most samples.
 
-    Fits to minimal random sets are refined on their nearest samples and selected by the median residual of every class
-    (least trimmed squares, Rousseeuw and van Driessen 2006). `sample` (of `count`) and `label` (class) belong to the
-    whitened rows J and r (M,).
+    Fits to random minimal subsets are refined on the samples that fit best and selected by the median residual of each
+    class (least trimmed squares, Rousseeuw and van Driessen 2006). `sample` (0 to `count` - 1) and `label` (class)
+    index the whitened rows J and r (M,).
     """
     d, rng = J.shape[1], np.random.default_rng(0)
     most, numbers = int(np.ceil(INLIERS * count)), max(1, len(r) // count)
     few = min(most, -(-(d + 1) // numbers))
 
     def refitted(kept: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the score of the fit to a set of samples, its step, the nearest samples, and the scales (M,)."""
+        """Fit the samples `kept`; return the score, the step, the best-fitting samples, and the scales (M,)."""
         chosen = np.isin(sample, kept)
         x = np.linalg.lstsq(J[chosen] / scale[chosen, None], -r[chosen] / scale[chosen], rcond=UNOBSERVABLE)[0]
         left = np.abs(r + J @ x)
@@ -509,9 +509,9 @@ def least_squares(
     rows : rows of all classes, block by block; may be a generator. Memory is O(p^2) per time block and class.
     names : names of the p parameters.
     what : name of the fitted quantity, for messages.
-    method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, iterated. "irls": the same with Huber's
-        loss, reading the rows once per iteration. "lts": wls on the consistent time blocks.
-    lower, upper : (p,) bounds; the result lists the active bounds and the growth of the residual.
+    method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, iterated. "irls": wls with Huber's loss,
+        reading the rows once per iteration. "lts": wls on the mutually consistent time blocks.
+    lower, upper : (p,) bounds; the result lists the active bounds and how much they increase the residual.
     prior : prior values, which are kept along undetermined directions; `excitation.held` lists these directions.
     max_condition : largest accepted condition number of the column-scaled, weighted regressor.
     seed : seed of the random starts of "lts".

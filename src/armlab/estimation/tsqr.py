@@ -20,17 +20,17 @@ import numpy as np
 from armlab._display import Shown
 from armlab.errors import ShapeError
 
-PANEL = 8  # columns that LAPACK reflects together; fastest for 20 to 100 columns
-CHUNK = 1024  # rows reflected together, which fit into the cache
+PANEL = 8  # LAPACK block size; fastest for 20 to 100 columns
+CHUNK = 1024  # rows per LAPACK call; small enough for the cache
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rows(Shown):
-    """Rows of the linear problem that belong to one measurement class, such as a joint or a sensor.
+    """Rows of a linear problem for one measurement class, such as a joint or a sensor.
 
     Attributes
     ----------
-    A : (m, w) rows of the regressor, with only the columns of this class.
+    A : (m, w) regressor rows, restricted to the columns of this class.
     y : (m,) measurements.
     block : (m,) index of the time block of each row, in ascending order; residuals within a block may be correlated.
     group : index of the class, counted from 0; each class has one weight.
@@ -45,11 +45,11 @@ class Rows(Shown):
 
     @staticmethod
     def of(A: np.ndarray, y: np.ndarray, block: np.ndarray) -> Iterator[Rows]:
-        """Yield one `Rows` for each of the k measurements of a sample, as classes 0 to k - 1.
+        """Yield one `Rows` for each of the k measurements per sample, with measurement i as class i.
 
         Parameters
         ----------
-        A : (N, k, p) regressor of N samples with k rows each. Zero columns of a class are omitted.
+        A : (N, k, p) regressor of N samples with k rows each. Columns that are zero for a class are omitted.
         y : (N, k) measurements.
         block : (N,) index of the time block of each sample, in ascending order.
         """
@@ -173,8 +173,8 @@ def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
         )
 
 
-# Fits run on one BLAS thread, so that results are bit-identical on every machine; several threads would not be faster
-# for tall, thin matrices.
+# Fits use one BLAS thread, so results are bit-identical on every machine. More threads are no faster for tall, thin
+# matrices.
 _lock = Lock()
 _inside = 0
 _limits = ExitStack()
@@ -182,7 +182,7 @@ _limits = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread in a `with` block; the last of overlapping blocks restores the number of threads."""
+    """Limit BLAS to one thread in a `with` block; if blocks overlap, the last to exit restores the thread count."""
     global _inside
     with _lock:
         if not _inside:

@@ -1,4 +1,4 @@
-"""Batch jobs over many logs, and recording of many robots."""
+"""Batch processing of many logs, and recording of many robots."""
 
 from armlab.fleet.discovery import Router, list_robots
 from armlab.fleet.identification import Identified, identify

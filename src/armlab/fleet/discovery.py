@@ -1,4 +1,4 @@
-"""`Router` connects bridges and clients; `list_robots` lists the robots with a running bridge."""
+"""`Router` connects bridges and clients; `list_robots` lists the robots with running bridges."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class FleetRobot(NamedTuple):
     lab, robot : names of the lab and the robot.
     rate : received rows per second [Hz].
     loss : number of missing rows, from gaps in the robot's ticks.
-    damaged : number of rows with a wrong checksum; they count as lost once a later row arrives.
-    age : age of the newest row according to the clocks of both computers [s]; NaN without rows.
-    commander : the commanding client, or "".
+    damaged : number of rows with an invalid checksum; they count as lost once a later row arrives.
+    age : age of the newest row, from the clocks of both computers [s]; NaN without rows.
+    commander : name of the commanding client, or "".
     """
 
     lab: str
@@ -119,8 +119,8 @@ class Router:
 
     Parameters
     ----------
-    host, port : listening address; port 0: any free port.
-    connect : "HOST:PORT" of other routers whose robots become visible through this router; retried indefinitely.
+    host, port : listening address; port 0 selects any free port.
+    connect : "HOST:PORT" of other routers, whose robots become visible through this router; retried indefinitely.
     security : certificates and users; see `servers.zenoh.security.Security`.
 
     Attributes
@@ -129,8 +129,8 @@ class Router:
 
     Raises
     ------
-    ConfigError : certificates and users are missing on a router that is not local or connects to a remote router, so
-        that any client could send commands.
+    ConfigError : a router that is not local, or connects to a remote router, has no certificates and users, so any
+        client could send commands.
     LinkError : the port is in use.
     MissingExtra : Zenoh is not installed.
     """

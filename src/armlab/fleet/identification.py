@@ -1,6 +1,6 @@
-"""`identify` fits one torque model to many logs with bit-identical results on any executor; `SumCache` stores sums.
+"""`identify` fits one torque model to many logs with bit-identical results on any executor; `SumCache` stores the sums.
 
-With a cache, adding ten logs takes only the time of ten logs, and an interrupted run can continue. The name of a
+With a cache, adding ten logs takes only the time of ten logs, and an interrupted run can be resumed. The name of a
 cache file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which
 includes the robot), the armlab version and the version of the sums. The file contains plain arrays in the .npz format,
 never objects; an unreadable file is rewritten.
@@ -36,8 +36,8 @@ from armlab.models import TorqueModel
 from armlab.models.torque import Training
 from armlab.robots import Robot
 
-DRAFT_SECONDS = 200.0  # total duration of the first logs: ten logs of 20 s
-AT_ONCE = 4  # largest number of logs tried at once
+DRAFT_SECONDS = 200.0  # s, total duration of the first logs: ten logs of 20 s
+AT_ONCE = 4  # maximum number of logs tested at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,9 @@ class Identified:
 
     Attributes
     ----------
-    fit : fit of the model; `fit.value.sources` lists the logs used, and the skipped logs with the reason.
+    fit : fit of the model; `fit.value.sources` lists the logs used and, with the reasons, the skipped logs.
     used : names of the logs used for the fit, in order.
-    skipped : reason for each skipped log, by name.
+    skipped : reasons for skipping logs, by name.
     """
 
     fit: Fit[TorqueModel]
@@ -72,19 +72,18 @@ def identify(
 ) -> Identified:
     """Identify the torque model of an arm from many logs of free motion.
 
-    The first few minutes are fitted as in `identify.fit_dynamics`. Workers then reduce every log to sums. The sums are
-    added in this process in the order of the logs, so the result is bit-identical for any executor.
+    The first few minutes are fitted as in `identify.fit_dynamics`. Workers then reduce every log to sums. This process
+    adds the sums in the order of the logs, so the result is bit-identical for any executor.
 
     Parameters
     ----------
     logs : tables, files or folders of one arm, without contact.
-    robot : the arm. Recordings of other arms are skipped.
+    robot : the arm; recordings of other arms are skipped.
     executor : any `concurrent.futures.Executor`, including ``Client.get_executor(pure=False)`` of Dask. Dask workers
-        read the files by path. None: run in this process.
+        must be able to read the files at the same paths. None: run in this process.
     progress : called with (done, total, what).
-    cache : folder that stores the sums of files, so that adding ten logs takes only the time of ten logs; None: no
-        cache.
-    columns : column names in files of other programs, see `log.read`.
+    cache : folder for the cached sums of each file; None: no cache.
+    columns : column names in files from other programs, see `log.read`.
 
     Returns
     -------
@@ -93,8 +92,8 @@ def identify(
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped (the error states the reason).
-    NotExcited : the logs together do not determine all parameters (the error names those left undetermined).
+    LogError : no logs were given, or all were skipped (the error states the reason).
+    NotExcited : the logs together do not determine all parameters; the error names the undetermined parameters.
 
     References
     ----------
@@ -107,7 +106,7 @@ def identify(
     done = map_logs(_work, rest, pattern, cache, columns, executor=executor, progress=tell, rows=lambda sums: sums.n)
     lost = [name for name in first if name not in done.results]
     if lost:
-        raise LogError(f"Expected {lost[0]} to be readable as before, but: {done.skipped[lost[0]]}")
+        raise LogError(f"Expected {lost[0]} to remain readable, but: {done.skipped[lost[0]]}")
     copies = _copies({}, {name: sums.source.rpartition(":")[2] for name, sums in done.results.items()})
     used = [name for name in done.results if name not in copies]
     fit = fit_sums(draft, pattern, [done.results[name] for name in used], [used.index(name) for name in first])
@@ -124,7 +123,7 @@ def _draft(
     """Fit the first usable logs, as many as the model needs.
 
     Also return the names of these logs, and why the logs before and between them are unusable. Workers test each log
-    before it is read in this process, so that a log that crashes its reader does not crash this process.
+    before it is read in this process, so a log that crashes its reader does not crash this process.
     """
     tried = _Tried(jobs, (robot, columns), executor, lambda: tell(0, 5, "reading the first logs"))
     wanted = DRAFT_SECONDS
@@ -137,10 +136,10 @@ def _draft(
             try:
                 tables = [as_table(jobs[name], robot, columns) for name in names]
             except OSError as error:
-                raise LogError(f"Expected the first logs to be readable as before, but: {error}") from None
+                raise LogError(f"Expected the first logs to remain readable, but: {error}") from None
             draft, pattern = fit_draft(tables, robot, len(jobs), tell, _chooser(executor, tell))
         except NotExcited:
-            if tried.all and names == tried.of(math.inf):  # workers may have tried more logs than the fit needed
+            if tried.all and names == tried.of(math.inf):  # workers may have tested more logs than the fit needed
                 raise
             wanted = 2.0 * max(wanted, sum(tried.known[name][1] for name in names))
         else:
@@ -192,7 +191,7 @@ class _Tried:
 def _copies(known: dict[str, str], rows: Mapping[str, str]) -> dict[str, str]:
     """Return the reason for skipping each log with the rows of an earlier log; `known` maps row hashes to names."""
     return {
-        name: f"it repeats the rows of {known[sha256]}, which would overstate the information"
+        name: f"it repeats the rows of {known[sha256]}, which would count the same data twice"
         for name, sha256 in rows.items()
         if known.setdefault(sha256, name) != name
     }
@@ -215,7 +214,7 @@ def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
         )  # fmt: skip
         if done.skipped:
             name, reason = next(iter(done.skipped.items()))
-            raise LogError(f"Expected to select the friction structure of {name}, but: {reason}")
+            raise LogError(f"Expected a friction structure for {name}, but its selection failed: {reason}")
         return list(done.results.values())
 
     return choose_all
@@ -287,7 +286,7 @@ class SumCache:
         }
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-            with TemporaryDirectory(dir=self._folder) as own:  # another process may save equal sums at the same time
+            with TemporaryDirectory(dir=self._folder) as own:  # another process may save the same sums at the same time
                 part = Path(own, path.name)
                 np.savez(part, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
                 part.replace(path)

@@ -67,12 +67,12 @@ def estimate(
     logs : files or folders.
     model : torque model of the arm, or its fit.
     robot : the arm.
-    folder : output folder; each file is written completely or not at all.
+    folder : output folder; files are written atomically.
     executor, progress : as in `identify`.
     method : as in `contact.Estimator`.
     ending : file extension of the output.
     force : replace existing files.
-    columns : column names in files of other programs, see `log.read`.
+    columns : column names in files from other programs, see `log.read`.
 
     Returns
     -------
@@ -80,13 +80,13 @@ def estimate(
 
     Raises
     ------
-    LogError : there are no logs, or all of them were skipped.
+    LogError : no logs were given, or all of them were skipped.
     ConfigError : an output file already exists.
     ModelMismatchError : the model belongs to another arm.
     UnknownName : the method is unknown.
     """
     model = value_of(model)
-    Estimator(model, robot, method)  # raises before any work
+    Estimator(model, robot, method)  # raises an error before any work starts
     jobs = named(logs)
     paths = targets(jobs, Path(folder), ending, "_estimate", force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}
@@ -127,12 +127,12 @@ def _estimate(
 
 Log = Table | Path
 
-_MOTION = ("q", "qd", "tau")  # columns of the log stored with the estimate for viewing
+_MOTION = ("q", "qd", "tau")  # log columns stored with the estimate for viewing
 _ENDINGS = {".mcap", ".csv", ".parquet", ".h5", ".hdf5", ".mat", ".db3", ".bag"}
 
 
 def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
-    """Return logs by name; a folder stands for all log files in it and its subfolders, sorted by name."""
+    """Return logs by name; a folder contributes all log files in it and its subfolders, sorted by name."""
     found: dict[str, Log] = {}
     files: set[Path] = set()
     given = [logs] if isinstance(logs, str | Path) else list(logs)
@@ -159,7 +159,7 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
     if not isinstance(one, str | Path):
         raise ShapeError.no_table(one)
     path = Path(one)
-    if path.is_dir() and not (path / "metadata.yaml").exists():  # a rosbag2 folder is a log itself
+    if path.is_dir() and not (path / "metadata.yaml").exists():  # a rosbag2 folder is a single log
         files = sorted(file for file in path.rglob("*") if file.suffix in _ENDINGS and file.is_file())
         if not files:
             raise LogError(f"Expected logs in {path}, got no {', '.join(sorted(_ENDINGS))} file. Pass another folder.")
@@ -170,7 +170,7 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
 
 
 def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", force: bool = False) -> dict[str, Path]:
-    """Return the output file of each log, with the folder structure of the logs; existing files need `force`."""
+    """Return the output file of each log, preserving the folder structure; existing files require `force`."""
     if ending not in ENDINGS:
         raise ConfigError(f"Expected a file extension among {', '.join(ENDINGS)}, got {ending!r}.")
     paths = {name: log for name, log in jobs.items() if isinstance(log, Path)}
@@ -194,7 +194,7 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
     if there and not force:
         raise ConfigError(
             f"Expected new output files, but {len(there)} already exist, first {there[0]}. Choose another folder, or "
-            "replace them (--force)."
+            "replace the files (--force)."
         )
     return found
 
@@ -215,12 +215,12 @@ def export(
     Parameters
     ----------
     logs : files or folders.
-    folder : output folder; each file is written completely or not at all.
+    folder : output folder; files are written atomically.
     ending : file extension of the format, see `log.write`.
     executor, progress : as in `identify`.
     robot : the arm, for MCAP.
     force : replace existing files.
-    columns : column names in files of other programs, see `log.read`.
+    columns : column names in files from other programs, see `log.read`.
 
     Returns
     -------
@@ -228,11 +228,11 @@ def export(
 
     Raises
     ------
-    LogError : there are no logs, or all of them were skipped.
+    LogError : no logs were given, or all of them were skipped.
     ConfigError : the format is unknown, MCAP output has no robot, or an output file already exists.
     """
     if ending == ".mcap" and robot is None:
-        raise ConfigError("Expected a robot for MCAP recordings, got none. Give robot= (--robot).")
+        raise ConfigError("Expected a robot for MCAP recordings, got none. Pass robot= (--robot).")
     jobs = named(logs)
     paths = targets(jobs, Path(folder), ending, force=force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}

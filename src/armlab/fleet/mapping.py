@@ -1,8 +1,8 @@
 """`map_logs` runs one job per log on any executor, with ordered results, named failures and crash recovery.
 
-A killed worker breaks its process pool and every job in it. Finished results are kept. The interrupted jobs then run
-one by one, and a job that crashes its worker again is skipped. The remaining jobs run in a new pool. Dask restarts its
-workers itself, but blames every job queued on a crashed worker; these jobs also run one by one.
+A killed worker breaks its process pool and all jobs in it. Finished results are kept. The interrupted jobs then run one
+by one, and a job that crashes its worker again is skipped. The remaining jobs run in a new pool. Dask restarts its
+workers itself, but reports every job queued on a crashed worker as failed; these jobs also run one by one.
 
 `workers` provides processes on this computer or a Dask cluster.
 """
@@ -23,13 +23,13 @@ from armlab.errors import ArmlabError, ConfigError, LinkError, LogError, Missing
 Progress = Callable[[int, int, str], None]
 Result = TypeVar("Result")
 
-_AHEAD = 4  # queued jobs per worker; limited, because every pickled job takes memory
+_AHEAD = 4  # queued jobs per worker; limited because every pickled job takes memory
 _WORKERS = 64  # assumed for executors without a worker count
-_REPORT_PERIOD = 0.5  # s between two progress reports while no job ends
-_SENTENCE_PERIOD = 1.0  # s between two progress lines, for output to a file
+_REPORT_PERIOD = 0.5  # s between progress reports while no job ends
+_SENTENCE_PERIOD = 1.0  # s between progress lines, for output to a file
 MAX_CRASHES = 2  # worker crashes before a job is skipped
-_KILLED = "Expected a worker to survive this {}, but it crashed again. Check the worker's memory use and logs."
-_KILLED_BY_DASK = "KilledWorker"  # exception of Dask after several crashes; by name, because Dask is optional
+_KILLED = "Expected the worker to finish this {}, but it crashed again. Check the worker's memory use and logs."
+_KILLED_BY_DASK = "KilledWorker"  # Dask's exception after several crashes; a name, because Dask is optional
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Done(Generic[Result]):
     skipped: Mapping[str, str]
 
     def some(self) -> Done[Result]:
-        """Return self; raise LogError with the first reason if every log was skipped."""
+        """Return self; raise a LogError with the first reason if every log was skipped."""
         if not self.results:
             count, reasons = len(self.skipped), list(self.skipped.values())
             raise LogError(f"Expected a usable log among {count}, got none. {' '.join(reasons[:1])}".rstrip())
@@ -64,8 +64,8 @@ def map_logs(
 ) -> Done[Result]:
     """Call ``work(job, *shared)`` for every job; skip jobs that raise an `ArmlabError` or crash their worker.
 
-    `work` is a module-level function, so that it can be pickled. Without an executor, jobs run in this process, one
-    after the other. `progress` is called with (done, total, what) as jobs end. `rows` counts the rows of a result.
+    `work` must be a module-level function, because it is pickled. Without an executor, jobs run one by one in this
+    process. `progress` is called with (done, total, what) as jobs end. `rows` returns the number of rows of a result.
     `kind` names a job in messages.
     """
     run = _JobRun(work, jobs, shared, progress or (lambda done, total, what: None), rows, kind)
@@ -109,7 +109,7 @@ class _JobRun:
         self.report()
 
     def on(self, executor: Executor) -> None:
-        """Run all jobs on an executor, with a new pool after each crash; each round settles at least one job."""
+        """Run all jobs on an executor, with a new pool after each crash; each round completes at least one job."""
         suspects: list[str] = []
         if not getattr(executor, "_broken", False):  # broken by earlier jobs of the caller
             ahead = _AHEAD * getattr(executor, "_max_workers", _WORKERS)
@@ -128,7 +128,7 @@ class _JobRun:
                     suspects = self._pass(again, left, ahead=_AHEAD * again._max_workers)  # pyright: ignore
 
     def _alone(self, executor: ProcessPoolExecutor, suspects: Sequence[str]) -> None:
-        """Run jobs one by one, so that crashes are attributable; skip a job that crashes its worker twice."""
+        """Run jobs one by one to attribute crashes; skip a job that crashes its worker twice."""
         killed: Counter[str] = Counter()
         while suspects := self._left(suspects):
             with _another(executor, 1) as alone:
@@ -141,7 +141,7 @@ class _JobRun:
         return [name for name in names if name not in self.results and name not in self.skipped]
 
     def _pass(self, executor: Executor, names: Sequence[str], ahead: int) -> list[str]:
-        """Run jobs until they are done or the executor breaks; return the interrupted jobs, at least one."""
+        """Run jobs until they are done or the executor breaks; return the interrupted jobs (at least one)."""
         waiting = list(reversed(names))
         running: dict[Future[tuple[bool, Any]], str] = {}
         try:
@@ -178,7 +178,7 @@ class _JobRun:
         return lost
 
     def report(self) -> None:
-        """Report the progress, with a line once a second."""
+        """Report the progress, with one line per second."""
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
         passed = time.monotonic() - self._began
         if done == total or passed - self._said >= _SENTENCE_PERIOD:
@@ -224,7 +224,7 @@ def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None
         if count == 1:
             yield None
             return
-        # Workers are spawned: a fork copies locks held by threads, such as BLAS threads, but not the threads.
+        # Workers are spawned: a fork would copy locks held by threads (such as BLAS threads), but not the threads.
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             yield pool
         return

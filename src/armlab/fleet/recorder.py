@@ -22,22 +22,22 @@ from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD, Syncing
 from armlab.log.recording.rows import SELDOM, RowLayout
 
-_INBOX = 50_000  # messages, 20 s of ten robots; an overflow leaves gaps in the ticks
+_INBOX = 50_000  # messages, 20 s from ten robots; an overflow leaves gaps in the ticks
 _ROBOTS = 1000
-_ROOM = 2**28  # bytes of all rows that wait for descriptions: ten seconds of fifty robots
+_ROOM = 2**28  # bytes of all rows waiting for descriptions: ten seconds from fifty robots
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # valid file names
-_WALL = slice(32, 40)  # wall clock in the row header
+_WALL = slice(32, 40)  # wall-clock time in the row header
 _PAIR = struct.Struct("<qq")
-_NAMES = 220  # bytes of lab and robot name; file systems allow 255 with number and extension
+_NAMES = 220  # bytes of lab and robot names; file systems allow 255, including number and extension
 
 
 class FleetRecorder:
     """Recorder of every robot that sends rows, as a context manager.
 
-    A robot may disappear and return with different rows. Each run of its bridge gets its own MCAP file:
-    ``lab1-yumi_left.mcap``, then ``lab1-yumi_left-2.mcap``. Missing rows are gaps in the robot's ticks; they are listed
-    in an event and in the summary of the file. A file that cannot be written is abandoned with a message. Any other
-    error ends only the recording of that robot; the other robots continue.
+    A robot may disappear and return with different rows. Each bridge run has its own MCAP file:
+    ``lab1-yumi_left.mcap``, then ``lab1-yumi_left-2.mcap``. Gaps in the robot's ticks reveal missing rows, which are
+    listed in an event and in the summary of the file. A file that cannot be written is abandoned with a message. Any
+    other error ends only the recording of the affected robot.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class FleetRecorder:
         self._inbox.put((partial(self._live, has_come=has_come), str(sample.key_expr)))
 
     def _row(self, robot: RobotRecord, data: bytes | None) -> None:
-        """Store a row; if the buffer is full, the row is lost, and its tick becomes a gap."""
+        """Store a row; if the buffer is full, the row is lost and leaves a gap in the ticks."""
         size = len(data or b"")
         if size <= self._room:
             self._room -= size
@@ -118,7 +118,7 @@ class FleetRecorder:
         due, is_last = time.monotonic() + FLUSH_PERIOD, False
         while not is_last:
             self._wake.wait(WRITE_PERIOD)
-            is_last = self._closed  # read before the inbox is drained, so that earlier messages are included
+            is_last = self._closed  # read before draining the inbox, to include all earlier messages
             for _ in range(len(self._inbox)):
                 message = self._inbox.get()
                 if message is None:
@@ -143,7 +143,7 @@ class FleetRecorder:
             self._do(robot, RobotRecord.close)
 
     def _do(self, robot: RobotRecord, work: Callable[[RobotRecord], None]) -> None:
-        """Run a step for a robot; an error ends only the recording of this robot."""
+        """Run a step for a robot; an error ends only this robot's recording."""
         if robot.name in self._ended:
             return
         try:
@@ -167,12 +167,12 @@ class FleetRecorder:
         self._inbox.put((partial(RobotRecord.describe, about=about), key(lab, name, "about")), len(about))
 
 
-_WAITING = 2500  # rows that wait for their description: 10 s
+_WAITING = 2500  # rows waiting for their description: 10 s
 _STRANGE = 64  # number of remembered schemas of invalid rows
-_UNANSWERED = 5.0  # s before rows without a description are abandoned
-_AGAIN = 10.0  # s from a failed file to the next attempt
-_SILENT = 60.0  # s without a row before a file is finished
-_MOST_HOLES = 10_000  # largest number of gaps that a file lists
+_UNANSWERED = 5.0  # s after which rows without a description are abandoned
+_AGAIN = 10.0  # s between a failed file and the next attempt
+_SILENT = 60.0  # s without a row after which a file is finished
+_MOST_HOLES = 10_000  # maximum number of gaps listed in a file
 
 
 class RobotRecord:
@@ -180,8 +180,8 @@ class RobotRecord:
 
     Attributes
     ----------
-    rows, lost : number of rows written, and number of rows missing or not written, from the robot's ticks.
-    damaged : number of rows with a wrong checksum, which are dropped and leave gaps.
+    rows, lost : number of rows written, and number of rows missing or not written, according to the robot's ticks.
+    damaged : number of rows with an invalid checksum, which are dropped and leave gaps.
     refused : number of messages that are not rows of this robot.
     late : number of rows dropped because an equal or newer tick had already been received.
     last : newest tick, -1 before the first row.
@@ -207,7 +207,7 @@ class RobotRecord:
         self.wants = self._is_unsure = False
         self._waiting: deque[bytes] = deque()
         self._strange: deque[bytes] = deque(maxlen=_STRANGE)
-        self._since: float | None = None  # time when rows began to wait for a description
+        self._since: float | None = None  # time since which rows have been waiting for a description
         self._run: _BridgeRun | None = None
         self._file: _RobotFile | None = None
         self._heard = self._retry = 0.0
@@ -218,7 +218,7 @@ class RobotRecord:
         return sum(map(len, self._waiting))
 
     def take(self, data: bytes | None) -> None:
-        """Store a row; if too many rows are waiting, the new row is lost, and its tick becomes a gap."""
+        """Store a row; if too many rows are waiting, the new row is lost and leaves a gap in the ticks."""
         if data is None:
             self.damaged += 1
             if self.damaged == 1:
@@ -230,7 +230,7 @@ class RobotRecord:
             self._waiting.append(data)
 
     def doubt(self) -> None:
-        """Process the disconnection of the bridge, after which the next rows may belong to another run."""
+        """Process the disconnection of the bridge; subsequent rows may belong to another run."""
         self.write()
         self._is_unsure = self._run is not None
 
@@ -259,7 +259,7 @@ class RobotRecord:
         now = time.monotonic()
         packed: list[bytes] = []
         self._heard = now if self._waiting else self._heard
-        for _ in range(len(self._waiting) + 1):  # the end of a run takes a second pass
+        for _ in range(len(self._waiting) + 1):  # the end of a run requires a second pass
             if not self._waiting:
                 break
             data = self._waiting[0]
@@ -276,7 +276,7 @@ class RobotRecord:
                 self._waiting.popleft()
                 self._refuse(str(error))
                 continue
-            if self._run.has_restarted(row):  # the bridge may have a new description
+            if self._run.has_restarted(row):  # the bridge may send a new description
                 self._put(packed)
                 self._finish()
                 self._run, packed = None, []
@@ -369,7 +369,7 @@ class RobotRecord:
     def _guarded(self, work: Callable[..., Any], *values: Any) -> bool:
         try:
             work(*values)
-        except Exception as error:  # any error: the other robots continue
+        except Exception as error:  # catches all errors: other robots continue
             reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             file, self._file = self._file, None
             if file is not None:
@@ -395,7 +395,7 @@ class RobotRecord:
 
 
 class RowColumns:
-    """Byte ranges of a recording's columns in the rows of a bridge, which may lack some columns."""
+    """Byte ranges of the recorded columns in a bridge's rows, which may lack some columns."""
 
     def __init__(self, schema: RowSchema, robot: str, layout: RowLayout) -> None:
         if f"{robot}.tick" not in schema.fields:
@@ -412,12 +412,12 @@ class RowColumns:
                 self._places.append(slot.nothing)
             elif field.shape != slot.column.shape or field.type == "text":
                 raise LinkError(f"Expected {field.name} of shape {slot.column.shape} in the rows, got {field.shape}.")
-            else:  # for a flag, its lowest byte, in which -1 becomes 255 (missing)
+            else:  # for a flag, the lowest byte, in which -1 becomes 255 (missing)
                 stop = field.offset + 8 * math.prod(field.shape)
                 self._places.append(slice(field.offset, stop, 8 if slot.dtype == "u1" else None))
 
     def packed(self, data: bytes) -> bytes:
-        """Convert a row of the bridge to a row of the recording; raise a LinkError if its schema differs."""
+        """Convert a bridge row to a recording row; raise a LinkError if its schema differs."""
         if len(data) != self._size or data[:4] != MAGIC or data[8:16] != self._id:
             raise LinkError(f"Expected a row of {self._size} bytes and schema {self._id.hex()}, got {len(data)} bytes.")
         return b"".join([place if isinstance(place, bytes) else data[place] for place in self._places])
@@ -432,7 +432,7 @@ def tick_of(packed: bytes) -> int:
 
 
 class _BridgeRun:
-    """Run of a bridge: its description, and the tick and stamp of its last row."""
+    """Bridge run: its description, and the tick and stamp of its last row."""
 
     def __init__(self, robot: str, about: bytes) -> None:
         said = read_about(about)
@@ -443,7 +443,7 @@ class _BridgeRun:
         self.stamp_ns = 0
 
     def has_restarted(self, row: bytes) -> bool:
-        """Return whether ticks went back while time advanced, which indicates a bridge restart."""
+        """Return whether the ticks decreased while time advanced, which indicates a bridge restart."""
         return self.last is not None and tick_of(row) <= self.last and stamp_of(row) > self.stamp_ns
 
 

@@ -2,8 +2,8 @@
 
     sphere: e = |p - c| - r                          circle: e = (|q| - r, z),  z = n . (p - c),  q = p - c - n z
 
-The initial guess solves the linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)``; Gauss-Newton steps follow. Short arcs
-and flat caps do not determine the centre, and raise an error that names the undetermined direction.
+The linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)`` gives the initial guess for Gauss-Newton steps. Short arcs and
+flat caps do not determine the centre; the error names the undetermined direction.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _refine(
     def evaluate(value: CircleOrSphere) -> list[Measurement]:
         r, J = residuals(value, p)
         if each is not None:
-            D = J[:, :, :3]  # moving a point equals moving the centre the other way
+            D = J[:, :, :3]  # moving a point is equivalent to moving the centre the opposite way
             return [Measurement(r, J, D @ each @ np.swapaxes(D, 1, 2), ("distance",) * k)]
         return [Measurement(r, J, cov, ("distance",) * k)]
 

@@ -25,13 +25,13 @@ from armlab.frames.features import Circle, Line, Plane, Sphere
 Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 
 LIMIT = 0.2  # rad, largest accepted standard deviation of a tilt
-SIDE_DEVIATIONS = 3.0  # standard deviations from which a side is determined
+SIDE_DEVIATIONS = 3.0  # distance from the origin, in standard deviations, that determines a side
 
 ALL_SETS, SOME_SETS = comb(60, 3), 500  # largest number of sets for an exhaustive search; size of a random selection
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
 MAX_ITERATIONS = 3  # maximum number of refits
-MAX_SCORING_POINTS = 1000  # maximum number of points that score the sets
-INITIAL_TOLERANCE = 2.0  # correction factor for the noise of the refitted half, which is too low
+MAX_SCORING_POINTS = 1000  # maximum number of points used to score the sets
+INITIAL_TOLERANCE = 2.0  # correction factor for the noise of the best half, which is biased low
 CHUNK = 200_000  # distances held in memory at once
 
 Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -73,7 +73,7 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return n or -n, as given by a hint, or pointing away from the origin; `reach` is the SD of the offset [m]."""
+    """Return n or -n: on the side of the hint, or away from the origin; `reach` is the SD of the offset [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Omit one of these arguments.")
     if normal is not None:
@@ -106,7 +106,7 @@ def text(v: np.ndarray) -> str:
 def inliers(
     p: np.ndarray, size: int, numbers: int, through: Squares, refit: Refit, sigma: float | None, what: str
 ) -> np.ndarray:
-    """Return the mask (N,) of the inliers, from minimal sets of `size` points; a point has `numbers` residuals."""
+    """Return the mask (N,) of the inliers, from minimal sets of `size` points with `numbers` residuals per point."""
     from scipy.special import chdtri
 
     if len(p) < size + 2:

@@ -53,7 +53,7 @@ def marker_pose(
 ) -> MarkerPoses:
     """Compute the pose of a marker in every frame from its visible points.
 
-    The result has one pose per input frame, so that it remains paired with the robot poses. `rms` reveals, for example,
+    The result has one pose per input frame, so it remains paired with the robot poses. `rms` reveals, for example,
     an LED misplaced by 3 mm.
 
     Parameters

@@ -7,10 +7,10 @@ k, and sigma the noise of a coordinate. The errors are uncorrelated and have the
     plane: tilt about axis 1  sigma^2 / lambda_2,  about axis 2  sigma^2 / lambda_1,  offset at centroid  sigma^2 / N
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
-A direction in which the points spread no more than the noise raises NotExcited. If the noise differs between directions
-or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a point, D (k, 3)
-their directions and C the covariance of the point. The Jacobian takes the lever arm of a tilt at the most likely point
-``p - C D^T S^-1 e`` instead of p, which gives the gradient of this cost.
+If the points spread no more than the noise in a required direction, the fit raises NotExcited. If the noise differs
+between directions or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a point,
+D (k, 3) their directions and C the covariance of the point. The Jacobian then uses the lever arm of a tilt at the most
+likely point ``p - C D^T S^-1 e`` instead of p, which gives the gradient of this cost.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from armlab.lie import so3
 
 PlaneOrLine = TypeVar("PlaneOrLine", Plane, Line)
 
-P_VALUE = 1e-3  # largest probability with which noise alone may explain the spread of the points
-JUDGED = 10  # points needed for the test of the spread
+P_VALUE = 1e-3  # significance level of the test that noise alone explains the spread of the points
+JUDGED = 10  # minimum number of points for this test
 
 
 def fit_plane(
@@ -130,7 +130,8 @@ def fit_line(
     Returns
     -------
     Fit of a `Line`
-        `residuals` (N, 3) are the vectors from the line to the points [m]; `cov` (4, 4) has the order of `Line.names`.
+        `residuals` (N, 3) are the vectors from the line to the points [m]; `cov` (4, 4) is in the order of
+        `Line.names`.
 
     Raises
     ------
@@ -175,8 +176,8 @@ def _oriented(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | 
 def _precision(strong: float, weak: float, sigma: float, points: int) -> float:
     """Return the inverse standard deviation of the principal direction with the larger of two sums of squares.
 
-    The standard deviation is ``sigma sqrt(strong) / (strong - weak)``. Noise alone explains the ratio q of the two sums
-    with probability ``(2 sqrt(q) / (1 + q))^points``, which is the test of sphericity in two dimensions.
+    The standard deviation is ``sigma sqrt(strong) / (strong - weak)``. The probability that noise alone explains the
+    ratio q of the two sums is ``(2 sqrt(q) / (1 + q))^points`` (sphericity test in two dimensions).
     """
     gap = strong - weak
     if points + 3 >= JUDGED:
@@ -300,7 +301,7 @@ def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarra
 
 
 def _whitened(e: np.ndarray, J: np.ndarray, root: np.ndarray) -> Measurement:
-    """Return distances (N, k) in standard deviations, so that the descent judges its steps by the total cost."""
+    """Return distances (N, k) in standard deviations, so the descent evaluates its steps by the total cost."""
     k, r = e.shape[1], np.linalg.solve(root, e[..., None])[..., 0]
     return Measurement(r, np.linalg.solve(root, J), np.eye(k), ("distance",) * k)
 
@@ -315,7 +316,7 @@ class OffsetCheck(Shown):
     sd : standard deviation of the offset [m].
     sigma : standard deviation of a distance [m].
     distances : (N,) signed distances of the points from the plane [m].
-    outliers : (N,) mask of the points that are not at the common distance.
+    outliers : (N,) mask of the points at a different distance.
     """
 
     offset: float
@@ -337,7 +338,7 @@ class OffsetCheck(Shown):
 def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> OffsetCheck:
     """Check that points lie at a common, unknown distance from a known plane.
 
-    The distance is due to the radius or the length of the probe tip. Fewer than half of the points may be outliers.
+    The distance is the radius or the length of the probe tip. Fewer than half of the points may be outliers.
 
     Parameters
     ----------

@@ -150,7 +150,7 @@ class Loop(Shown):
     edges : indices of the poses of the loop, in the order in which they were added to the graph.
     position : closure error [m].
     angle : closure error [rad].
-    chi2 : squared closure error in the metric of its covariance; NaN if a covariance is unknown.
+    chi2 : squared Mahalanobis norm of the closure error; NaN if a covariance is unknown.
     p : p-value of chi2; NaN if a covariance is unknown.
     words : description of each pose.
     """
@@ -169,7 +169,7 @@ class Loop(Shown):
         return self.p < P_VALUE
 
     def text(self) -> str:
-        """Return one line with the frames, the closure error, the p-value of this error and the suspicious poses."""
+        """Return one line with the frames, the closure error, its p-value and the suspicious poses."""
         chance = "" if np.isnan(self.p) else f", chi2 {self.chi2:.3g} of 6, p {self.p:.2g}"
         verdict = f"; does not close: check {', '.join(self.words)}" if self.beyond else ""
         way = " - ".join([*self.frames, self.frames[0]])
@@ -342,7 +342,7 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
     if any(given) and not all(given):
         missing = ", ".join(edge.text() for edge, known in zip(edges, given) if not known)
         raise FrameError(
-            f"Expected covariances of all poses or of none, but {missing} has no covariance. Pass cov= for each pose."
+            f"Expected covariances for all poses or for none, but {missing} has no covariance. Pass cov= for each pose."
         )
     problem = _problem(edges, names)
     found = nonlinear_least_squares(problem, start, robust=robust)

@@ -22,14 +22,14 @@ BRIDGED = 4  # consecutive lost rows that are interpolated; longer gaps end a se
 WINDOW = 50  # number of rows within which the stamps recover from a late row
 CAUGHT_UP = 0.25  # periods: jitter of the earliest row in the window
 BLOCK = 2.0  # s, length of the blocks for the medians
-JITTER = 0.01  # share of the period: smaller jitter is rounding of the stamps
+JITTER = 0.01  # fraction of the period below which jitter is timestamp rounding
 EARLIEST, LATEST = -0.06, 0.32  # s, range of the searched delays
 STEP = 0.004  # s, spacing of the shifts in the coarse search
-LEAST, SURE = 0.5, 4.0  # periods and standard deviations: smaller delays are not corrected
-DOUBT, SAMPLED = 1e-3, 0.2  # in seconds, or in periods if that is longer: unmodelled lag of friction
-FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, blocks whose scatter gives its variance
+LEAST, SURE = 0.5, 4.0  # minimum delay that is corrected, in periods and in standard deviations
+DOUBT, SAMPLED = 1e-3, 0.2  # s, and periods; the longer is the uncertainty due to unmodelled friction lag
+FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, length of the blocks whose scatter gives its variance
 EXACT = 1e-6  # power fraction attributed to rounding
-VAGUE = 0.01  # s: a delay with a larger standard deviation is unknown
+VAGUE = 0.01  # s; standard deviation above which a delay is undetermined
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Clock:
         return int(missing[missing <= BRIDGED].sum())
 
     def bridged(self, columns: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, list[int]]:
-        """Return time, columns (N', n), the mask of measured rows (N',), and the edges of the segments."""
+        """Return time, columns (N', n), the mask of measured rows (N',), and the segment edges."""
         pieces = self.pieces
         if not self.lost:
             return self.t, columns, np.ones(len(self.t), dtype=bool), pieces
@@ -167,8 +167,8 @@ class Delay:
 def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: float, used: np.ndarray) -> Delay | None:
     """Return the delay of the columns y (N, n) of a record, or None if undetermined.
 
-    `bases`: for each joint, orthonormal columns (M, k) that explain y without delay. `rows`: (M,) rows of the record,
-    far enough inside its segments for every shift. `used`: (n,) joints to use.
+    `bases`: for each joint, orthonormal columns (M, k) that explain y without delay. `rows`: (M,) rows of the record
+    for which every shift stays within the segment. `used`: (n,) joints to use.
     """
     joints = np.flatnonzero(used)
     if not len(joints) or len(rows) < FEWEST:

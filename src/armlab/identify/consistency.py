@@ -1,7 +1,7 @@
 """Physically consistent inertial parameters nearest to an identified model.
 
 A link is physically consistent if its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With
-Lambda, the information matrix of the fit for its base parameters,
+Lambda the information matrix of the fitted base parameters,
 
     minimise  (B pi - base)^T Lambda (B pi - base) + strength d(P, P_0)   over P_i >= 1e-6, rotor >= 0
 
@@ -48,7 +48,7 @@ class PhysicallyConsistent(Shown):
     rotor : array, shape (n,), kg m^2
         Rotor inertias.
     growth : float
-        Relative growth of the weighted RMS residual.
+        Relative increase of the weighted RMS residual.
     distance : float
         Distance of the base parameters from the fit, in standard deviations of white noise: the square root of the
         first term of the cost.
@@ -67,14 +67,14 @@ class PhysicallyConsistent(Shown):
             object.__setattr__(self, name, values)
 
     def text(self) -> str:
-        """Return a table of mass, centre of mass and principal moments of each link, and the residual growth."""
+        """Return a table of mass, centre of mass and principal moments of each link, and the residual increase."""
         body, moments = inertia.to_body(self.links), inertia.principal_moments(self.links)
         lines = ["link  mass [kg]  centre of mass [m]        principal moments [kg m^2]     rotor [kg m^2]"]
         for i in range(len(self.links)):
             centre = "  ".join(f"{x:+.3f}" for x in body.centre[i])
             about = "  ".join(f"{x:.2e}" for x in moments[i])
             lines.append(f"{i + 1:4d}  {body.mass[i]:9.3f}  {centre}  {about}  {self.rotor[i]:.3g}")
-        return "\n".join([*lines, f"the residual grows by {100 * self.growth:.3g} %"])
+        return "\n".join([*lines, f"the residual increases by {100 * self.growth:.3g} %"])
 
 
 def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
 def physically_consistent(
     fit: Fit[TorqueModel], robot: Robot, prior: np.ndarray | None = None, pull: str = "log-det", strength: float = 1.0
 ) -> PhysicallyConsistent:
-    """Return the nearest physically consistent model and the growth of the residual.
+    """Return the nearest physically consistent model and the increase of the residual.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def physically_consistent(
     References
     ----------
     Wensing, Kim and Slotine (2018), Linear matrix inequalities for physically consistent inertial parameter
-    identification; Lee, Wensing and Park (2020), Geometric robot dynamic identification, for the log-det divergence.
+    identification; Lee, Wensing and Park (2020), Geometric robot dynamic identification (log-det divergence).
     """
     if not isinstance(fit, Fit) or not isinstance(fit.value, TorqueModel):
         raise ModelMismatchError(f"Expected the fit of a torque model, got {type(fit).__name__}. See fit_dynamics.")
@@ -313,7 +313,7 @@ def _solve(cvxpy: Any, problem: Any) -> None:
 
 
 def _at_least(P: np.ndarray, scale: np.ndarray, least: float) -> np.ndarray:
-    """Return the scaled pseudo-inertia (16,) with eigenvalues of at least `least`, with a margin for the solver."""
+    """Return the scaled pseudo-inertia (16,) with eigenvalues raised to at least `least`, against solver error."""
     values, vectors = np.linalg.eigh(P)
     back = np.linalg.inv(scale)
     return (back @ (vectors * np.maximum(values, least)) @ vectors.T @ back).ravel()

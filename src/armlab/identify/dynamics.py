@@ -1,4 +1,4 @@
-"""Rigid-body base parameters, friction and ripple of all joints from a log, by robust least squares with covariance.
+"""Identification of base parameters, friction and ripple of all joints by robust least squares, with covariance.
 
     tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
 
@@ -72,7 +72,7 @@ CUTOFF = 10.0  # Hz, cut-off of the estimator's causal filter
 FEWEST = 8.0  # independent segments needed to identify a nonlinear friction parameter
 NO_LOAD = 0.02  # SD of the load friction of joints without a load term
 UNKNOWN = 1e3  # SD of a parameter that is not in the prior
-BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; for `fit_gravity`: largest acceleration [rad/s^2, m/s^2] at this quantile
+BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # for `fit_gravity`: Hz; largest acceleration [rad/s^2, m/s^2] at this quantile
 
 Progress = Callable[[int, int, str], None]
 
@@ -99,25 +99,25 @@ def fit_dynamics(
     robot : Robot
         The arm that was recorded.
     method : {"irls", "lts", "wls", "ols"}
-        "irls": joints weighted by 1 / their standard deviation, rows by Huber's loss; isolated torque outliers are
-        replaced. "lts": the same with least trimmed squares over blocks of a quarter of a second. "wls", "ols": not
-        robust, with and without weights per joint.
+        "irls": joints weighted by their inverse residual standard deviation, rows by Huber's loss; isolated torque
+        outliers are replaced. "lts": the same with least trimmed squares over blocks of a quarter of a second. "wls",
+        "ols": not robust, with and without joint weights.
     seed : int
         Seed of the block bootstrap and of the random starts of "lts".
     progress : callable, optional
         Called with (done, total, what).
     prior : Fit of TorqueModel, optional
         Earlier fit of the same robot: its values are kept along directions that the log does not excite, and the report
-        lists these directions. Default: such logs raise an error.
+        lists these directions. Without a prior, such logs raise an error.
     joints : sequence of int, optional
-        Numbers, from 0, of the joints whose torque is measured; all joints may move. Default: all. Estimators ignore
-        the other joints; momentum methods are unavailable for such a model.
+        Zero-based indices of the joints with measured torque; all joints may move. Default: all. Estimators ignore the
+        other joints, and momentum methods are unavailable for such a model.
     cutoff : float, optional, Hz
         Cut-off of the low-pass filter for torque and regressor. Default: selected by cross-validation from a tenth of
         the sampling rate (at most 25 Hz), 12 Hz and 6 Hz; the report states the reason. If it is below 10 Hz, the
         model's own filter has the same cut-off.
     force : bool
-        Fit implausible torques anyway, and report the reasons as doubts. Default: implausible torques raise an error.
+        Fit implausible torques and report the reasons as doubts. By default, implausible torques raise an error.
 
     Returns
     -------
@@ -129,9 +129,9 @@ def fit_dynamics(
     Raises
     ------
     ShapeError
-        NaN rows, a wrong number of joints, or a velocity that is not the derivative of the position. Torques with a
-        wrong sign, or wrong by more than a factor of 3 according to the masses in the robot file or the other joints;
-        the message lists the joints.
+        NaN rows, a wrong number of joints, or a velocity that is not the derivative of the position. Torques that have
+        the wrong sign, or differ by more than a factor of 3 from those implied by the masses in the robot file or by
+        the other joints; the message lists the joints.
     NotExcited
         Joints or directions that the log does not determine; the message names them.
     UnknownName
@@ -141,8 +141,8 @@ def fit_dynamics(
 
     References
     ----------
-    Gautier (1991) for base parameters, Huber (1964), Rousseeuw (1984), Dahl (1968) for presliding, Kunsch (1989) for
-    the block bootstrap.
+    Gautier (1991) (base parameters); Huber (1964); Rousseeuw (1984); Dahl (1968) (presliding); Kunsch (1989) (block
+    bootstrap).
     """
     measured = None if joints is None else tuple(measured_joints(robot, joints))
     tell = progress or (lambda done, total, what: None)
@@ -272,7 +272,7 @@ def _with_resting(fit: Fit[TorqueModel], prior: Fit[TorqueModel], rest: np.ndarr
         parameters=np.concatenate([fit.parameters, prior.parameters])[order],
         cov=cov[np.ix_(order, order)],
         formal_cov=formal[np.ix_(order, order)],
-        notes=(*fit.notes, f"at rest, friction from the prior: joint{'s' * int(rest.sum() > 1)} {listed}"),
+        notes=(*fit.notes, f"at rest, with friction from the prior: joint{'s' * int(rest.sum() > 1)} {listed}"),
     )
 
 
@@ -296,7 +296,7 @@ class FitSettings:
     force: bool = False
 
     def corner(self, data: Record) -> float | None:
-        """Return the regression cut-off [Hz] from the settings, if any; raise if it exceeds a quarter of the rate."""
+        """Return the given regression cut-off [Hz], if any; raise an error above a quarter of the rate."""
         if self.cutoff is None:
             return None
         corner, most = positive(self.cutoff, "cut-off [Hz]"), data.rate / 4.0
@@ -341,7 +341,7 @@ class FitProblem:
 
     `gain_cov`: (J, J) covariance of the gains. `block`: (N,) block number of each sample; `length` blocks make an
     independent segment. `theta`: (p,) parameters at which the design was linearised. `band`: reason for the cut-off.
-    `doubts`: sentences about the torques.
+    `doubts`: doubts about the torques, one sentence each.
     """
 
     design: Design
@@ -357,7 +357,7 @@ class FitProblem:
 def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: FitSettings) -> FitProblem:
     """Run stages 2 to 4: build the regression, select the friction structure, solve.
 
-    Torque outliers are replaced twice, the second time by the torque of the first fit.
+    Torque outliers are replaced twice; the second replacement uses the torque of the first fit.
     """
     method, prior = settings.method, settings.prior
     known = None if prior is None else (prior.value.gains, prior.value.gain_cov)
@@ -395,10 +395,10 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     return FitProblem(design, gain_cov, sums, block, length, theta, band, doubts)
 
 
-LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods within a joint's range, more than gravity has
+LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods in a joint's range, more than gravity torques have
 HIGHEST_SLIDING = 3000.0  # rad/m
-WORTH = 0.1  # smallest share of the residual power explained by a line
-AT_MOST = 20_000  # samples per search
+WORTH = 0.1  # minimum share of the residual power that a line must explain
+AT_MOST = 20_000  # maximum samples per search
 
 
 def _searched_lines(design: Design, theta: np.ndarray) -> np.ndarray:
@@ -459,8 +459,8 @@ def model_of(
 ) -> TorqueModel:
     """Convert linear parameters and the friction structure to a model; its covariance and quality are provisional.
 
-    `drift`: (p, p) covariance of the change of the parameters until the next log; without it, the covariance of the
-    parameters is not part of the model.
+    `drift`: (p, p) covariance of the parameter change until the next log; without it, the model does not contain the
+    parameter covariance.
     """
     data, robot, base = design.data, design.robot, design.base
     n, p = len(robot.joint_names), len(base.names)

@@ -2,9 +2,9 @@
 
     q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
 
-(Swevers et al. 1997). A quintic window blends the motion in and out, so that it starts and ends at rest. Seeded
-candidates are scaled to the limits. The candidate with the largest log det of the information of the base regressor is
-selected (D-optimality, which is independent of the parameter units). Candidates that collide or exceed the motor
+(Swevers et al. 1997). A quintic window blends the motion in and out, so it starts and ends at rest. Seeded candidates
+are scaled to the limits. The candidate whose base regressor has the largest log determinant of the information matrix
+is selected (D-optimality, which is independent of the parameter units). Candidates that collide or exceed the motor
 torques are discarded; candidates with too little slow motion or too few reversals to identify friction are ranked last.
 """
 
@@ -57,7 +57,7 @@ class Trajectory(Shown):
 
         Raises
         ------
-        ShapeError : the rate is not above 0.
+        ShapeError : the rate is not positive.
         """
         if not 0 < rate < np.inf:
             raise ShapeError(f"Expected a rate above 0 Hz, got {rate:g} Hz. Pass the rate of the controller.")
@@ -102,7 +102,7 @@ class Trajectory(Shown):
     def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
         """Return a controller that moves from the current posture to the start, then runs the motion.
 
-        Its clock advances with the robot's clock by at most 6 ms per cycle, so that the motion continues without a jump
+        Its clock advances with the robot's clock, but by at most 6 ms per cycle, so the motion continues without a jump
         after lost packets. It restarts in each session.
 
         Parameters
@@ -206,7 +206,7 @@ def design_excitation(
     seconds : duration [s], at least 10.
     f0 : base frequency [Hz].
     harmonics : number of harmonics.
-    speed : peak speed as a share of the robot's limits, in (0, 1].
+    speed : peak speed as a fraction of the robot's limits, in (0, 1].
     acceleration : peak acceleration [rad/s^2].
     centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from the limits. Default: the
         robot's home, moved away from the limits until every joint has 70 degrees on both sides (or half its range, if
@@ -214,8 +214,8 @@ def design_excitation(
     seed : seed of the candidates.
     sigma : (n,) standard deviation of the torque noise [N m], which weights the joints; default: equal.
     collides : collision check of a posture (n,), called ten times per second along each candidate.
-    rounds : steps of a search around the best candidate, 5 ms each; 300 steps reduce the predicted standard deviations
-        by about 20 %.
+    rounds : steps of a search around the best candidate, which take 5 ms each; 300 steps reduce the predicted standard
+        deviations by about 20 %.
     progress : called with (done, total, what).
 
     Returns
@@ -225,9 +225,9 @@ def design_excitation(
 
     Raises
     ------
-    ShapeError : a share outside (0, 1], a duration that is too short, no harmonics, a centre outside the limits,
-        noise that is not above 0, a negative seed, or non-numeric values.
-    NotConverged : if every candidate collides or exceeds the torque limits.
+    ShapeError : a fraction outside (0, 1], a duration that is too short, no harmonics, a centre outside the limits,
+        non-positive noise, a negative seed, or non-numeric values.
+    NotConverged : every candidate collides or exceeds the torque limits.
     """
     seconds, f0 = number(seconds, "seconds"), number(f0, "f0 [Hz]")
     speed, acceleration = number(speed, "the speed share"), number(acceleration, "acceleration [rad/s^2]")
@@ -277,7 +277,7 @@ def _search(
     """Return the best candidate, improved by a (1 + 1) evolution strategy, or None if no candidate is valid."""
     total, found = len(draws) + rounds, []
     for k, draw in enumerate(draws):
-        tell(k, total, "choosing among candidates")
+        tell(k, total, "evaluating candidates")
         if (result := judged(draw)) is not None:
             found.append((draw, *result))
     if not found:
@@ -285,7 +285,7 @@ def _search(
     draw, best, value = max(found, key=lambda candidate: candidate[2])
     width = WIDTH
     for k in range(rounds):
-        tell(len(draws) + k, total, "searching around the best")
+        tell(len(draws) + k, total, "refining the best candidate")
         trial = draw + width * rng.standard_normal(draw.shape)
         result = judged(trial)
         if result is not None and result[1] > value:
@@ -302,9 +302,9 @@ SWAY = float(np.deg2rad(2.0))  # rad or m
 def dither(
     centre: np.ndarray, seconds: float, amplitude: float | np.ndarray = SWAY, frequency: float = 0.5
 ) -> Trajectory:
-    """Return a small oscillation of every joint about a posture, so that static friction does not mask a small force.
+    """Return a small oscillation of every joint about a posture, which prevents static friction from masking forces.
 
-    Joints have different phases, so that they do not reverse simultaneously.
+    Joints have different phases, so they do not reverse simultaneously.
 
     Parameters
     ----------
@@ -315,12 +315,12 @@ def dither(
 
     Raises
     ------
-    ShapeError : a duration that is not above 0, or an invalid posture, amplitude or frequency.
+    ShapeError : a non-positive duration, or an invalid posture, amplitude or frequency.
     """
     seconds, width = number(seconds, "seconds"), numbers(amplitude, "the amplitude [rad]", ShapeError)
     frequency = number(frequency, "the frequency [Hz]")
     if not 0 < seconds < np.inf:
-        raise ShapeError(f"Expected a length above 0 s, got {seconds:g} s. Pass the duration of the motion.")
+        raise ShapeError(f"Expected a duration above 0 s, got {seconds:g} s. Pass the duration of the motion.")
     centre = np.array(numbers(centre, "the pose", ShapeError))
     fits = centre.ndim == 1 and width.shape in ((), centre.shape)
     if not fits or not np.isfinite(centre).all() or not np.isfinite(width).all() or not 0 < frequency < np.inf:
@@ -342,7 +342,7 @@ def dither(
 
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:
-    """Return a centre (n,) moved away from the limits by twice the margin; raise if it is outside the limits."""
+    """Return a centre (n,) moved at least two margins away from the limits; raise an error if it is outside them."""
     given = np.array(numbers(centre, "the centre", ShapeError))
     if given.shape != (robot.n,) or not np.all((given >= robot.q_min) & (given <= robot.q_max)):
         raise ShapeError(
@@ -419,7 +419,7 @@ def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float, weights: np.ndarray) -> float:
-    """Return the log det of the information matrix of the base parameters over one period."""
+    """Return the log determinant of the base-parameter information matrix over one period."""
     t = np.linspace(RAMP, min(RAMP + 1.0 / f0, trajectory.seconds - RAMP), 100)
     A = base_regressor(robot, *trajectory.sample(t), base) * weights[:, None]
     A = A.reshape(-1, A.shape[2])
@@ -460,7 +460,7 @@ HOLD = 2.0  # s
 PERIODS = 10  # minimum periods of torque ripple at each speed
 STROKE, SLIDE = 0.3, 0.05  # rad, m; minimum, and default for unknown gears
 STEEPEST = 1.875  # largest slope of the quintic step
-SHORTEST = 0.1  # s, shortest change of speed
+SHORTEST = 0.1  # s, minimum duration of a speed change
 
 
 def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -> Trajectory:
@@ -488,7 +488,7 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
 
     References
     ----------
-    Bagge Carlson, Robertsson and Johansson, IROS 2015, for friction over position and speed.
+    Bagge Carlson, Robertsson and Johansson, IROS 2015 (friction over position and speed).
     """
     i = _number(robot, joint)
     pose = np.array(robot.q_home if at is None else at, dtype=float)
@@ -621,9 +621,9 @@ class PredictedUncertainty(Shown):
 
 
 def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> PredictedUncertainty:
-    """Predict the uncertainty of the torque model's parameters from a motion.
+    """Predict the parameter uncertainty of a torque model identified from a motion.
 
-    The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion sampled
+    The covariance is ``s^2 (A^T A)^-1``, with A the regressor of base parameters and friction along the motion, sampled
     at 250 Hz. Real residuals are coloured, so expect standard deviations that are a few times larger but similarly
     ranked.
 

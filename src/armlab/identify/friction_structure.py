@@ -1,4 +1,4 @@
-"""Friction structure: nonlinear parameters and terms of each joint, selected on held-out blocks.
+"""Friction structure: terms and nonlinear parameters of each joint, selected on held-out blocks.
 
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
           [+ load s |x|]
@@ -72,13 +72,13 @@ class FrictionColumns:
         return np.moveaxis(self.decimation.run(made, J * count).reshape(-1, count, J), 1, 2)
 
 
-DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad, searched presliding distances
-SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s, searched v_t of the smooth sign
-STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s, searched v_s of the Stribeck term
+DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad, candidate presliding distances
+SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s, candidate v_t of the smooth sign
+STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s, candidate v_s of the Stribeck term
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried in both directions after the grid
 FEWER = REFINEMENTS[::2]  # fewer factors after the selection of terms, because Gauss-Newton steps follow
 FOLDS = 4
-GAIN = 0.01  # share of the squared held-out error: terms with a smaller improvement are dropped
+GAIN = 0.01  # minimum relative reduction of the squared held-out error for keeping a term
 DEFAULT_SPEED = 2  # index in STRIBECK_SPEEDS for joints without a Stribeck term
 IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term may depend on a single event
 EXACT = 1e-12  # squared error relative to the torque, below which the error is rounding
@@ -252,7 +252,7 @@ def choose(choice: StructureChoice) -> FrictionStructure:
     structure = _of_grid(search) if choice.start is None else choice.start
     errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
-    # on the grid, a term may compensate for a width between two grid points
+    # on the grid, a term may have compensated for a width between two grid points
     structure = replace(structure, terms=TERMS[[simplest]])
     return _refine(search, structure, errors[simplest], FEWER)
 

@@ -1,11 +1,11 @@
-"""One model from any number of logs: a draft from the first minutes, sums for each log, and a fit to the total.
+"""One model from any number of logs: a draft fitted to the first minutes, sums per log, and a fit to all sums.
 
-1. `fit_draft` fits the first few minutes like `fit_dynamics`, which determines the nonlinear parameters.
+1. `fit_draft` fits the first few minutes like `fit_dynamics`. This determines the nonlinear parameters.
 2. `log_sums` reduces one log to triangular factors of its rows, weighted according to their residuals from the draft.
-   It is independent of the other logs, so the sums can be computed anywhere, in any order, and cached.
+   Logs are independent of each other, so their sums can be computed anywhere, in any order, and cached.
 3. `fit_sums` adds the sums in log order and solves; the result is bit-identical wherever the sums were computed.
 
-A single reweighting step from a robust draft is as good as several (Bickel 1975, One-step Huber estimates).
+A single reweighting step from a robust draft is as efficient as several (Bickel 1975, One-step Huber estimates).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from armlab.models.torque import Training
 from armlab.robots import Robot
 
 SAME_RATE = 1.1
-FEWEST_BLOCKS = 60  # minimum number of blocks in all logs, for a covariance
+FEWEST_BLOCKS = 60  # minimum number of blocks in all logs together, for the covariance
 BIN = 1e-9  # relative margin on the block length
 
 
@@ -155,7 +155,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
     block = _block(data, pattern.blocks)[design.rows]
     factors = factorise(design.stream(block, np.sqrt(weights)), len(pattern.x))
     return LogSums(
-        # Same memory layout as arrays from a worker or a file, so that sums are added in the same order.
+        # The same memory layout as arrays from a worker or a file, so sums are added in the same order.
         factors=replace(factors, R=tuple(map(np.ascontiguousarray, factors.R))),
         weight=float(weights.sum()),
         inside=int(np.count_nonzero(away <= pattern.limit)),

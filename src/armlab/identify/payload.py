@@ -148,9 +148,9 @@ def _rigid(
     return total
 
 
-EXPLAINED, CHANGED = 0.5, 3.0  # required share of the torque; largest ratio to the held-out residual of the arm alone
+EXPLAINED, CHANGED = 0.5, 3.0  # residual fraction to explain; largest ratio to the held-out residual without a load
 EVERY = 4  # decimation; the filter's cut-off is at a tenth of the rate
-APART = 0.02  # rad or m, RMS; records further apart are different motions
+APART = 0.02  # RMS position difference [rad or m] above which two records are different motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ def _at_flange(data: Record, robot: Robot) -> np.ndarray:
 
 
 def _shift(data: Record, other: Record) -> int:
-    """Return the lag (rows) of the record without the load behind the other record; raise if the motions differ."""
+    """Return the lag [rows] of the record without the load; raise an error if the motions differ."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
             f"Expected one log with the load and one without, at equal rates and without gaps, got "
@@ -273,12 +273,12 @@ def fit_payload(
     table : Table or sequence of Table
         Logs with the load and without contact, with columns q, qd, tau (N, n).
     model : TorqueModel or Fit of TorqueModel
-        Model of the arm without the load. With a fit, the covariance includes the uncertainty of masses and friction;
-        with a model, only the uncertainty of the masses.
+        Model of the arm without the load. With a fit, the covariance includes the uncertainty of the arm's masses and
+        friction; with a model, only that of the masses.
     robot : Robot
         The arm.
     mode : {"static", "dynamic"}
-        "static": mass and first moment. "dynamic": all ten parameters, which needs fast motion of the wrist.
+        "static": mass and first moment. "dynamic": all ten parameters, which requires fast wrist motion.
     without : Table, optional
         Log of the same motion without the load; model errors cancel in the difference.
     gain_sd : float
@@ -307,8 +307,8 @@ def fit_payload(
     value.check_robot(robot)
     if mode not in SIZES:
         raise UnknownName.among("mode of a payload fit", mode, SIZES)
-    if not 0 <= number(gain_sd, "the deviation of the gains") < 1:
-        raise ShapeError(f"Expected a gain standard deviation in [0, 1), got {gain_sd}. 0.05 is 5 %.")
+    if not 0 <= number(gain_sd, "the gain standard deviation") < 1:
+        raise ShapeError(f"Expected a gain standard deviation in [0, 1), got {gain_sd}. Pass 0.05 for 5 %.")
     record, p = LoadRecord.of(table, model, robot, without), SIZES[mode]
     seconds = record.data.seconds / 20.0
     gains, rest = np.zeros(len(record.joints)), np.zeros(10)
@@ -360,7 +360,7 @@ def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, sec
 
 
 def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
-    """Return the largest accepted deviations (10,): loads that would double the largest torque of the log."""
+    """Return the largest accepted standard deviations (10,): loads that would double the largest torque of the log."""
     torque, gravity = np.sqrt(np.mean(record.data.tau[:, record.joints] ** 2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])
@@ -443,8 +443,8 @@ def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple
     if share > EXPLAINED or more[worst] < CHANGED:
         return said, ()
     return said, (
-        f"{robot.joint_names[record.joints[worst]]} has {more[worst]:.1f} times its residual without a load, "
-        f"and the load explains only {100 * share:.0f} % of the total: "
+        f"the residual of {robot.joint_names[record.joints[worst]]} is {more[worst]:.1f} times as large as without a "
+        f"load, and the load explains only {100 * share:.0f} % of the total: "
         "there may be a load elsewhere or a contact in the log",
     )
 

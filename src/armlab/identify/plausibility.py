@@ -1,9 +1,9 @@
 """Plausibility of torques: detects a wrong unit, sign or scale per joint.
 
-Friction dissipates power: if the coarse regression of a joint finds that friction supplies power, the sign of the
-torque is reversed. With masses in the robot file, the torque of a joint is compared with the torque that these masses
-require, ``tau_i = k_i r_i(q, qd, qdd) + rotor qdd + friction + offset``. Otherwise the joints are compared with each
-other: each joint measures k_i times the torque of shared links (`identify.solve.GainProblem`, with an almost flat
+Friction dissipates power: if friction supplies power in the coarse regression of a joint, the sign of the torque is
+reversed. With masses in the robot file, joint torques are compared with the torques r_i required by these masses,
+``tau_i = k_i r_i(q, qd, qdd) + rotor qdd + friction + offset``. Otherwise, the joints are compared with each other:
+each joint measures k_i times the torque of shared links (`identify.solve.GainProblem`, with an almost flat
 prior).
 """
 
@@ -19,12 +19,12 @@ from armlab.identify.solve import GAIN_SD, GainProblem, as_read, solved
 from armlab.log.units_check import GEARED, gears
 from armlab.robots import Robot
 
-DOUBTED, REFUSED = 1.3, 3.0  # ratios of measured and expected torque
+DOUBTED, REFUSED = 1.3, 3.0  # ratios of measured to expected torque: for a doubt, for an error
 SURE, CERTAIN = 3.0, 5.0  # standard deviations required for a factor and for a sign
 KNOWN = 0.15  # largest relative SD of a known factor
-SMALL = 0.01  # share of the torque: smaller friction does not determine the sign
+SMALL = 0.01  # fraction of the torque below which friction does not determine the sign
 LOOSE, ROUNDS = 1.0, 4  # prior SD of almost free gains; iterations of the joint weights
-SUSPECT = 1.5  # prior SDs beyond which the gains are checked with a loose prior
+SUSPECT = 1.5  # prior SDs above which the gains are checked with a loose prior
 
 
 def check_signs(survey: Survey, used: np.ndarray) -> list[str]:
@@ -33,7 +33,7 @@ def check_signs(survey: Survey, used: np.ndarray) -> list[str]:
     if not found:
         return []
     return [
-        f"joint{'s' * (len(found) > 1)} {', '.join(found)}: the sign is reversed, because friction would drive "
+        f"joint{'s' * (len(found) > 1)} {', '.join(found)}: the sign is reversed; otherwise, friction would drive "
         "the motion"
     ]
 
@@ -98,7 +98,7 @@ def check_factors(factors: np.ndarray, sd: np.ndarray, robot: Robot, masses: boo
     reference = common if shared or not masses else 1.0
     said, worst = [], common if shared else 1.0
     if shared:
-        said.append(f"torques are {common:.2g} times those that these masses require: {_unit(common, robot, known)}")
+        said.append(f"torques are {common:.2g} times those required by these masses: {_unit(common, robot, known)}")
     for i in np.flatnonzero(known):
         own = float(factors[i]) / reference
         off = own < 0 or abs(np.log(own)) > np.log(DOUBTED) + SURE * sd[i] / abs(factors[i])

@@ -1,4 +1,4 @@
-"""Predictions of an identified model for a log with uncertainty, and checks for extrapolation."""
+"""Torque predictions of an identified model with uncertainty, and extrapolation checks."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from armlab.signals import central_diff, lowpass_offline
 
 # Extrapolation: positions, speeds and standstill outside the training data.
 #
-# Held-out errors are valid only for data similar to the training data. For each joint, the samples outside the trained
-# positions and speeds are counted. For the arm as a whole, the share of standstill is compared: friction at rest is
-# only bounded, and a model trained in motion does not predict it.
+# Held-out errors are valid only for data similar to the training data. For each joint, samples outside the trained
+# positions and speeds are counted. For the arm as a whole, the share of standstill is compared, because friction at
+# rest is only bounded and a model trained in motion does not predict it.
 
 
 BESIDE = 0.02  # tolerance relative to the trained position range
 RARE = 0.005  # share of training data below which a speed bin is untrained
-ALLOWED = 0.05  # share of samples outside that causes no warning
+ALLOWED = 0.05  # largest share of samples outside without a warning
 MORE, LONGER = 3.0, 2.0  # ratios of the share and duration of standstill to those of the training data
 
 
@@ -51,7 +51,7 @@ class Extrapolation(Shown):
     trained_longest_rest : float, s
         Longest standstill in the training data.
     warnings : tuple of str
-        Warnings as sentences; empty if the model is valid for this log.
+        Warnings, one sentence each; empty if the model is valid for this log.
     """
 
     joint_names: tuple[str, ...]
@@ -64,7 +64,7 @@ class Extrapolation(Shown):
     warnings: tuple[str, ...]
 
     def text(self) -> str:
-        """Return a table with a row per joint, a line about standstill, and the warnings."""
+        """Return a table with one row per joint, a line on standstill, and the warnings."""
         width = max(map(len, self.joint_names))
         lines = [f"{'joint':>{width}}  position outside  untrained speed"]
         for name, outside, unseen in zip(self.joint_names, self.outside, self.unseen_speed):

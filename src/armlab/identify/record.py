@@ -22,11 +22,11 @@ from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
 MIN_RATE = 40.0  # Hz: four samples per period of the 10 Hz band of models and estimators
-SLOW_SHARE = 0.25  # share of the sampling rate: a faster ripple line aliases
+SLOW_SHARE = 0.25  # fraction of the sampling rate above which ripple counts as aliased
 
 
 def check_rate(period: float) -> None:
-    """Raise an error if the sampling rate is below `MIN_RATE`, which is too low to identify friction."""
+    """Raise an error if the sampling rate is below `MIN_RATE`, too low to identify friction."""
     rate = 1.0 / period
     if rate < MIN_RATE * (1.0 - 1e-6):
         hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
@@ -44,7 +44,7 @@ def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
 MIN_SECONDS, MIN_BLOCKS = 5.0, 8
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: minimum range of a moving joint
 MIN_SEGMENT = 100  # samples; shorter segments between gaps are dropped
-BAND = 5.0  # Hz, band for the comparison of velocity with the derivative of position
+BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
 ORDER = 4  # order of the low-pass, which is run forward and backward
 KEPT, MARGIN = 0.99, 10.0  # share of motion power, and ratio of the velocity cut-off to the frequency of that share
 
@@ -56,8 +56,8 @@ class Record:
     `t`: (N,) time [s], increasing within a segment. `q`, `qd`, `tau`: (N, n). `dt`: (N,) step to the previous sample
     [s]; the period at the start of a segment. `segments`: (start, stop) rows of each segment. `rate`: [Hz].
     `resolution`: (n,) half the smallest encoder step [rad]. `sources`: name and SHA-256 of each log. `bridged`: (B,)
-    interpolated rows that replace lost rows. `delays`: corrected delays of torque and velocity. `notes`: sentences
-    about repairs.
+    interpolated rows that replace lost rows. `delays`: corrected delays of torque and velocity. `notes`: repairs, one
+    sentence each.
     """
 
     t: np.ndarray
@@ -111,7 +111,7 @@ class Record:
 
 
 def check_blocks(count: int, seconds: float, data: Record) -> None:
-    """Raise if there are fewer than eight independent blocks, too few to estimate the covariance from their scatter."""
+    """Raise an error for fewer than eight independent blocks, too few to estimate the covariance from scatter."""
     if count < MIN_BLOCKS:
         raise NotExcited(
             f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for the covariance, got {count}. Record longer.",
@@ -127,8 +127,8 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     ----------
     table : one or several logs, each with columns q, tau of `robot`; without qd, the derivative of q is used.
     robot : the recorded arm.
-    joints : numbers, from 0, of the joints whose torque is fitted; only these joints must move and have a valid torque.
-        Default: all.
+    joints : zero-based indices of the joints whose torque is fitted; only these joints must move and have a valid
+        torque. Default: all.
 
     Raises
     ------
@@ -208,13 +208,13 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
 
 
 def check_once(logs: Iterable[tuple[str, str]]) -> None:
-    """Raise if a log (name and SHA-256) is repeated, because repeated data would count as additional information."""
+    """Raise an error for a repeated log (name and SHA-256); repeated data would count as additional information."""
     known: dict[str, str] = {}
     for name, sha256 in logs:
         if sha256 in known:
             raise ShapeError(
                 f"Expected distinct logs, but {name} repeats the rows of {known[sha256]}. Remove one of them, because "
-                "repeated rows would reduce the stated uncertainty without new information."
+                "repeated rows would reduce the reported uncertainty without new information."
             )
         known[sha256] = name
 
@@ -392,7 +392,7 @@ SURVEY_BAND, SURVEY_RATE, SURVEY_ROWS = 8.0, 25.0, 2000  # Hz, rows per second, 
 DELTAS = (1e-4, 1e-3, 1e-2)  # rad, presliding distances: friction lags the motion and peaks at reversals
 BELLS = (0.03, 0.1)  # rad/s, Stribeck speeds at a medium presliding distance
 WAVES = 4  # half waves of friction over a joint's position range
-INDEPENDENT = 1e-7  # share of the largest eigenvalue
+INDEPENDENT = 1e-7  # fraction of the largest eigenvalue below which a direction is dropped
 
 
 @dataclass(frozen=True, eq=False)
@@ -467,7 +467,7 @@ def _velocity_on_time(data: Record, moved: np.ndarray) -> tuple[Record, np.ndarr
 
 
 def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
-    """Return the record with tau aligned to the motion, based on the joints `used` (n,)."""
+    """Return the record with tau aligned to the motion; the joints `used` (n,) determine the delay."""
     survey = Survey.of(data, robot)
     bases = [
         orthonormal(np.hstack([survey.columns(i), survey.friction(i), survey.friction_over_position(i)]))
@@ -480,7 +480,7 @@ def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
 
 
 def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
-    """Return the record with a column shifted by a delay, and the rows (N',) that have a shifted value."""
+    """Return the record with a column shifted by a delay, and the rows (N',) with a shifted value."""
     rows, column = late.seconds * data.rate, getattr(data, name).copy()
     ahead, behind = max(0, int(np.ceil(-rows))), max(0, int(np.ceil(rows)))
     for a, b in data.segments:
@@ -513,7 +513,7 @@ def delay_text(name: str, late: Delay) -> str:
 # samples, where no robust loss can reject them.
 
 
-SPIKE, WINDOW = 6.0, 9  # robust standard deviations, and samples of the median
+SPIKE, WINDOW = 6.0, 9  # outlier threshold in robust standard deviations, and samples of the median filter
 
 
 def torque_outliers(data: Record) -> np.ndarray:
@@ -552,9 +552,9 @@ def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
 # and only a few thousand rows of the regressor exist at once.
 
 
-ENDS = 2.0  # periods of the cut-off dropped at either end, where reflection turns noise into a step
-DECAYED = 1e-6  # share of the largest tap
-ROWS_AT_ONCE, WIDE = 1024, 64  # rows whose regressor fits in the cache; with fewer columns, more rows
+ENDS = 2.0  # cut-off periods dropped at either end, where reflection turns noise into a step
+DECAYED = 1e-6  # fraction of the largest tap below which taps are dropped
+ROWS_AT_ONCE, WIDE = 1024, 64  # rows of this many columns that fit in the cache; narrower regressors use more rows
 BAND_ROWS = 32  # kept rows per product
 
 

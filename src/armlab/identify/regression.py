@@ -9,7 +9,7 @@ lines instead.
 A motor that drives several joints, as in wrists, adds three shared columns. Its angle is ``theta = c q``; its inertia
 and its viscous and Coulomb friction act on all these joints, ``tau = c^T f(theta)``.
 
-All columns are filtered and decimated in blocks, because a full-rate regressor of the whole record would not fit into
+All columns are filtered and decimated in blocks, because the full-rate regressor of a whole record does not fit into
 memory.
 """
 
@@ -208,7 +208,7 @@ class ParameterLayout:
 
     @property
     def heads(self) -> list[str]:
-        """Names without the combinations of the base parameters, which would fill a line."""
+        """Names without the combined terms of base parameters, which would be too long."""
         return [re.split(r" [+-] ", name)[0] for name in self.names]
 
     @property
@@ -285,7 +285,7 @@ PAD = 20  # rows of extension at the ends of a segment
 BLOCK = 0.5  # s, blocks assigned cyclically to the folds of the structure selection
 STEP = 0.01  # logarithmic step of a nonlinear parameter for numerical derivatives
 LONGEST = 0.5  # largest logarithmic step
-NOTHING = 1e-12  # share of the torque power: smaller derivatives have no effect
+NOTHING = 1e-12  # fraction of the torque power below which a derivative is ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -536,7 +536,7 @@ class Design(RegressionColumns):
         the rows; 0 excludes a row. `again`: start from the current structure, which was selected before.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
-        used = np.cumsum(weights.any(axis=1))  # blocks of used rows, so that all folds have equal size
+        used = np.cumsum(weights.any(axis=1))  # only used rows count, so all folds have equal size
         fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
         loaded = self.with_load(theta)
         motion = loaded.friction

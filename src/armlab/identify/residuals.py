@@ -75,7 +75,7 @@ def load_torque(model: TorqueModel, data: Record) -> np.ndarray:
 
 
 BIN = 1.0  # s, duration of a bin
-SETTLING = 8  # iterations of power and thermal state for given parameters
+SETTLING = 8  # fixed-point iterations between power and thermal state
 FEWEST_SECONDS = 20  # rows needed in a second to determine its power
 
 

@@ -1,11 +1,11 @@
 """Alternation between the linear parameters and the friction structure until convergence.
 
 The structure comes from a grid search on held-out blocks. Its nonlinear parameters are then refined by Gauss-Newton
-steps on all rows,
+steps on all rows:
 
     tau ~ A theta + sum_k d(A theta)/d(log s_k) log(s_k' / s_k)
 
-so that the final linearised estimate takes no further step and its covariance includes the nonlinear parameters.
+At convergence, the linearised estimate takes no further step, and its covariance includes the nonlinear parameters.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ ROUNDS = 4
 SHAPE_STEPS = 6  # Gauss-Newton steps
 SHARES = (1.0, 0.5, 0.25)  # fractions of a step in the line search
 STAYS = 1e-3  # convergence limit on the norm of the logarithmic steps
-VAGUE = 0.3  # formal SD of a logarithm beyond which the nonlinear parameter is not identified
+VAGUE = 0.3  # formal SD of a logarithm above which the nonlinear parameter is not identified
 TRIMMED = 0.25  # s, blocks for the method "lts"
 MOST_BLOCKS = 1000.0  # largest number of these blocks, because each stores a triangular factor
 ROBUST = ("irls", "lts")
@@ -170,7 +170,7 @@ def alternate(
 
 
 def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
-    """Take Gauss-Newton steps in the nonlinear parameters as long as they reduce the residual."""
+    """Take Gauss-Newton steps in the nonlinear parameters while they reduce the residual."""
     cost = _cost(design, theta, trust)
     for _ in range(SHAPE_STEPS):
         sloped = linearised(design, theta, method, trust)
@@ -204,7 +204,7 @@ def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray
 
 
 def short_blocks(data: Record) -> float:
-    """Return the length of the blocks for "lts" [s]."""
+    """Return the block length for "lts" [s]."""
     return max(TRIMMED, data.seconds / MOST_BLOCKS)
 
 
@@ -217,8 +217,8 @@ def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolut
 
 
 BANDS = (12.0, 6.0)  # Hz, alternative cut-offs
-YARDSTICK = 10.0  # Hz, the band of the comparison
-PARTS = 1.0  # s, segments fitted and judged alternately
+YARDSTICK = 10.0  # Hz, band in which cut-offs are compared
+PARTS = 1.0  # s, segments used alternately for fitting and validation
 NEARLY = 1.02  # ratio to the smallest residual within which the highest cut-off is selected
 
 
@@ -313,26 +313,26 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
 
 # Friction contributions to the covariance that short time blocks miss: drift along the log, and rival structures.
 #
-# The block bootstrap covers changes from one half second to the next. Offset drift and warm-up are slow, and another
-# log may select other friction terms; both are added to the covariance of the residuals.
+# The block bootstrap covers changes between neighbouring blocks of half a second. Offset drift and warm-up are slower,
+# and another log may select other friction terms; both effects are added to the covariance.
 #
 # Drift. With the solution fixed, a scale of all friction and an offset per joint are fitted to each half of the log.
 # The squared difference between the halves, minus its sampling variance, is pooled over the joints relative to their
-# friction torque, because a single joint gives only one degree of freedom. Friction follows the temperature of the
-# gears, which changes over minutes, so its change within a log is a trend: the next log of this length differs by twice
-# the difference between the halves. Offsets walk at random, which gives sqrt(2) times the difference. Each log
-# contributes half of this variance. The leakage of a linear drift into other parameters is added. The bootstrap uses
-# torques without the drift, which it would otherwise treat as noise in every direction.
+# friction torque, because a single joint gives only one degree of freedom. Friction follows the gear temperature, which
+# changes over minutes, so its change within a log is a trend: the next log of this length differs by twice the
+# difference between the halves. Offsets are random walks, for which the factor is sqrt(2). Each log contributes half of
+# this variance. The leakage of a linear drift into other parameters is added. The bootstrap uses torques without the
+# drift, which it would otherwise treat as noise in every direction.
 #
 # Structures. Rival friction structures are weighted by exp(-t^2 / 2), with t the excess of their held-out squared error
-# over the best, in standard deviations of that excess between blocks. The change of the parameters by each rival adds
-# one rank to the covariance: ``sum_k w_k v_k v_k^T``.
+# over the best, in standard deviations of that excess between blocks. The parameter change v_k of each rival adds a
+# rank-one term to the covariance: ``sum_k w_k v_k v_k^T``.
 
 
 DRIFTS = ("friction", "offset")  # scale of all friction of a joint; constant torque
 AHEAD = np.array([4.0, 2.0])  # ratio of variances between logs and between halves: for a trend, for a random walk
 POOLING = 30  # iterations of the pooled variance
-RIDGE = 1e-6  # share of a column's power, in case half of the log does not determine a drift
+RIDGE = 1e-6  # relative to a column's power, in case half of the log does not determine a drift
 
 
 def covariance(
@@ -354,7 +354,7 @@ def _without_drift(
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
-    for _ in range(POOLING):  # a joint without friction has no variance, and is ignored
+    for _ in range(POOLING):  # joints without friction have zero variance and are ignored
         weight = np.divide(1.0, (variance + pooled) ** 2, out=np.zeros_like(variance), where=variance > 0)
         excess = np.sum(weight * (difference**2 - variance), axis=0)
         pooled = np.maximum(excess / np.maximum(weight.sum(axis=0), 1e-300), 0.0)

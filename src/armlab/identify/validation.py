@@ -1,4 +1,4 @@
-"""Validation of a torque model: held-out residuals, their covariance over velocity, and the report for each joint."""
+"""Validation of a torque model: held-out residuals, their covariance over velocity, and the report per joint."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ FIFTHS, STRETCHES = 5, 20
 SETTLED = 0.01  # variance of the presliding state below which friction is known
 NOTHING = 1e-18  # (N m)^2
 ALPHA2_BOUNDS = (0.25, 25.0)
-REST = 0.01  # share of the peak speed; the arm is at rest if all joints are slower
+REST = 0.01  # fraction of the peak speed; the arm is at rest if all joints are slower
 HALF = 1.0  # s, segments of the two halves for the coverage
 UNMEASURED = 1e12  # (N m)^2, variance of an unmeasured torque
-FEWEST = 100  # sliding rows in each half
+FEWEST = 100  # minimum number of sliding rows in each half
 FAST = 0.1  # rad/s: above this speed, the friction bound covers the model error in motion
 
 
@@ -41,7 +41,7 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
     nothing = np.full(data.q.shape[1], NOTHING)
-    for model, rows in folds:  # variance of unknown friction only
+    for model, rows in folds:  # only unknown friction contributes to the variance
         plain = replace(
             model,
             covariance=velocity_covariance("const", nothing, nothing),
@@ -82,13 +82,13 @@ def assess(
 
     The torque variance `drift` (J,) due to friction changes between logs is added to the covariance; this error is
     constant within a log, so no filter averages it. Covariance and scale are fitted to one half of the segments and
-    validated on the other half, in both directions. The model gets the values fitted to all segments. Joints without
+    validated on the other half, in both directions. The model stores the values fitted to all segments. Joints without
     measured torque have no quality figures, and a standard deviation so large that estimators ignore them. If an
     earlier model `before` is given, joints at rest keep its figures.
 
-    The estimator adds the torque variance of the parameters beyond its mean over this record. Held-out errors contain
-    this part, so the covariance is fitted to errors divided by ``sqrt(1 + r)``, with r such that the sum of both covers
-    as many errors of the joint as the covariance of all errors.
+    The estimator adds the torque variance of the parameters beyond its mean over this record. Held-out errors already
+    contain this part. The covariance is therefore fitted to errors divided by ``sqrt(1 + r)``; r is chosen such that
+    both variances together cover as many errors of the joint as a covariance fitted to all errors.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -135,7 +135,7 @@ def assess(
 
 
 def _share(errors: np.ndarray, beyond: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Return r (n,): a covariance divided by 1 + r, plus `beyond`, covers as many errors as the whole."""
+    """Return r (n,) for which the covariance divided by 1 + r, plus `beyond`, covers as many errors as before."""
     variance, ratio = _covariance(errors, qd, moving).variance(qd), np.zeros(len(moving.T))
     for i, rows in enumerate(moving.T):
         if beyond[rows, i].any():
@@ -176,7 +176,7 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
     """Return a model with terms added to an earlier model, and with a new torque covariance and quality figures.
 
     If `before` was identified from one of these logs, its parameters were fitted to rows that are held out in `folds`.
-    The loss of `before` on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
+    Its excess squared error on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
     """
     data = replace(data, tau=without_outliers(data, torque_outliers(data), before))
     fold, quality = fold_of(data), before.quality
@@ -197,7 +197,7 @@ def fold_of(data: Record) -> np.ndarray:
 
 
 def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
-    """Raise an error for joints that rarely slide: fewer than 100 rows in either half of the log."""
+    """Raise an error for joints that slide in fewer than 100 rows in either half of the log."""
     few = np.flatnonzero(measured & (rows < FEWEST))
     if len(few):
         names = [f"joint {i + 1}" for i in few]
@@ -282,8 +282,8 @@ def rests(
     return float(np.mean(still)), longest
 
 
-# Maximum-likelihood torque covariance over velocity, per joint, on residuals filtered as in the estimator. The ratio
-# and rate get the information of a uniform prior over their bounds, so that undetermined values are uncertain rather
+# Maximum-likelihood torque covariance over velocity, per joint, for residuals filtered as in the estimator. The ratio
+# and the rate have the information of a uniform prior over their bounds, so undetermined values are uncertain rather
 # than exact.
 
 
@@ -319,7 +319,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
     References
     ----------
     Yao (1987), Approximating the distribution of the maximum likelihood estimate of the change-point in a sequence of
-    independent random variables, for the covariance of a threshold.
+    independent random variables (covariance of a threshold).
     """
     residuals, qd = numbers(residuals, "residuals", ShapeError), numbers(qd, "qd", ShapeError)
     _check_residuals(residuals, qd)
@@ -438,7 +438,7 @@ COVERAGE, SIGMAS = 0.954, 2.0
 SEEN = 0.9  # smallest observability of axes included in the coverage
 LEAD = 0.5  # s, transient of an estimator
 WAVES = np.array([0.05, 0.07, 0.06, 0.08, 0.09, 0.1])  # Hz, frequencies of the known wrench
-ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor; s, windows: longer records use every second window or fewer
+ENOUGH, WINDOW = 50_000, 10.0  # rows used for a factor; s, length of the windows subsampled from longer records
 
 
 def velocity_noise(data: Record) -> np.ndarray:

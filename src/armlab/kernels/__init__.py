@@ -1,8 +1,8 @@
-# ruff: noqa: F401  the packages of armlab import the kernels by the names in `_native.pyi`
-"""Compiled kernels, which run for single samples and for batches of millions.
+# ruff: noqa: F401  other packages import the kernels from here
+"""Compiled kernels for single samples and large batches.
 
-They are written in C++ (folder native) and documented in `_native.pyi`. The tests compare each kernel with its
-mathematics in plain NumPy (tests/oracles).
+`_native.pyi` documents the kernels; their C++ sources are in native/. The tests compare each kernel with a plain NumPy
+implementation (tests/oracles).
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ try:
     )
 except ImportError as error:
     raise MissingExtra(
-        f"Expected the compiled kernels of armlab, got none of this version ({error}). Install a wheel of armlab, or "
-        "install a C++ compiler and build it: `make -B setup` or `pip install .` in the sources."
+        f"Expected the compiled kernels of this armlab version, got none ({error}). Install an armlab wheel, or "
+        "install a C++ compiler and run `make -B setup` or `pip install .` in the source folder."
     ) from error
 
 __all__ = ()

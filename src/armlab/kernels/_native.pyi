@@ -1,7 +1,8 @@
 """Signatures and documentation of the compiled kernels, which are imported from `armlab.kernels`.
 
-tests/kernels/test_extension.py compares them with the extension. Methods accept any leading batch where shapes begin
-with ``...``, leave inputs unchanged, write into `out` if given, and raise `ShapeError` for invalid arguments.
+tests/kernels/test_extension.py compares the signatures with the extension. Where shapes begin with ``...``, functions
+accept any leading axes. They do not modify inputs, write into `out` if given, and raise `ShapeError` for invalid
+arguments.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ class Chain:
     """Immutable serial chain of revolute and prismatic joints.
 
     ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n`` with ``Z(q) = Rz(q)`` (revolute) or ``Tz(q)`` (prismatic):
-    the local product of exponentials with every joint axis along z. Link frame i is ``T_base_i = E_0 Z_1(q_1) ...
+    the local product of exponentials with all joint axes along z. Link frame i is ``T_base_i = E_0 Z_1(q_1) ...
     E_{i-1} Z_i(q_i)``. NaN in a sample gives NaN in its result.
 
     Parameters
     ----------
-    frames : (n + 1, 4, 4) E_0 ... E_n, rigid to 1e-6 (rotations are then projected onto SO(3)) [m].
+    frames : (n + 1, 4, 4) poses E_0 ... E_n [m]; rotation errors of up to 1e-6 are removed by projection onto SO(3).
     prismatic : (n,) bool, True for prismatic joints; n from 1 to 32.
     """
 
@@ -33,11 +34,11 @@ class Chain:
 
     @property
     def frames(self) -> np.ndarray:
-        """Copy of E_0 ... E_n, (n + 1, 4, 4)."""
+        """Copy of E_0 ... E_n (n + 1, 4, 4)."""
 
     @property
     def prismatic(self) -> np.ndarray:
-        """Whether each joint is prismatic, (n,) bool."""
+        """Whether each joint is prismatic (n,)."""
 
     def forward(self, q: Any, out: Any = None, threads: int = 1) -> np.ndarray:
         """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
@@ -46,7 +47,7 @@ class Chain:
         """Return the poses T_base_i (..., n, 4, 4) of link frames 1 ... n."""
 
     def jacobian(self, q: Any, tool: bool = False, out: Any = None, threads: int = 1) -> np.ndarray:
-        """Return J (..., 6, n), rows [v; w], at the tool point, in base axes or, if `tool` is set, in tool axes.
+        """Return J (..., 6, n), rows [v; w], at the tool point, in tool axes if `tool` is set, otherwise in base axes.
 
         Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic).
         """
@@ -71,21 +72,21 @@ class Chain:
         ----------
         q, qd, qdd : (..., n) joint positions, velocities, accelerations.
         gravity : (3,) gravity in base axes [m/s^2].
-        pi : (n, 10) per link, in link frame i about its origin: m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-        out : (..., n) array to write into, or None.
+        pi : (n, 10) m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz of each link i, in frame i about its origin.
+        out : (..., n) array for the result, or None.
         """
 
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
-        """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()`` and parameters as in `rnea`."""
+        """Return the regressor Y (..., n, 10 n): ``tau = Y pi.ravel()``, with arguments as in `rnea`."""
 
 class Datagrams:
-    """Nonblocking receiver and sender on a bound IPv4 UDP socket, which never raises for socket errors.
+    """Nonblocking receiver and sender on a bound IPv4 UDP socket, which counts socket errors instead of raising them.
 
     Parameters
     ----------
-    socket : nonblocking socket, closed by `close`; with SO_TIMESTAMPNS, the kernel's time stamps are used.
-    kind : named tuple created for each datagram, with its bytes, the sender's (host, port), and the arrival time on the
-        monotonic clock [ns].
+    socket : nonblocking socket, which `close` closes; with SO_TIMESTAMPNS, the kernel's time stamps are used.
+    kind : named tuple class for a datagram: its bytes, the sender's (host, port), and the arrival time on the monotonic
+        clock [ns].
 
     Attributes
     ----------
@@ -112,10 +113,10 @@ class Drive:
     friction : (11, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution,
         root, smooth_speed, load.
     ripple : (3, n) rows cycles, cosine, sine.
-    lines : joints (L,) in order, cycles (L,), speeds and widths (n, S), coefficients (L, 1 or 2 directions, S, 2); or
-        None.
-    map : positions and widths (n, P), speeds and widths (n, S), coefficients (n, 2, P, S); or None.
-    warm_up : (5, n) rows of_coulomb, of_viscous, time, reference, start; or None. A time of 0 disables warm-up.
+    lines : ripple lines, or None: joints (L,) in order, cycles (L,), speeds and widths (n, S), coefficients (L, 1 or 2
+        directions, S, 2).
+    map : friction map, or None: positions and widths (n, P), speeds and widths (n, S), coefficients (n, 2, P, S).
+    warm_up : (5, n) rows of_coulomb, of_viscous, time, reference, start, or None. A time of 0 disables warm-up.
     """
 
     def __init__(
@@ -136,11 +137,11 @@ class EgmMessages:
 
     Parameters
     ----------
-    packet, drop : named tuples to create, `wire.egm.Packet` and `wire.egm.Drop`.
-    order : axis of each joint, counted from 0.
+    packet, drop : named tuple classes of the results, `wire.egm.Packet` and `wire.egm.Drop`.
+    order : axis number of each joint, counted from 0.
     scale : (n,) SI units per wire unit of each joint.
-    external_scale : SI units per wire unit of the first external axes beyond the robot's own; further axes are in
-        degrees.
+    external_scale : SI units per wire unit of the first external axes that are not joints of the robot; further axes
+        are in degrees.
     extension : whether to write the research extension.
 
     Raises
@@ -160,11 +161,11 @@ class EgmMessages:
     def read(self, data: bytes, robotware: str) -> Any:
         """Decode one datagram; return the packet or the drop.
 
-        `robotware` is the version of the session; "" selects it by the fields present.
+        `robotware` is the version used in the session; with "", it is inferred from the fields.
         """
 
     def write(self, ref: Any) -> bytes:
-        """Return the bytes of an EgmSensor for a `wire.egm.Reference`, as protobuf would write it.
+        """Return the EgmSensor message for a `wire.egm.Reference`, with the same bytes as protobuf.
 
         Raises
         ------
@@ -174,10 +175,10 @@ class EgmMessages:
 class InverseSolver:
     """Immutable inverse-kinematics solver of a chain within joint limits.
 
-    It runs Levenberg-Marquardt from successive starts and abandons stalled starts early. The next start is taken from a
-    table of random postures: from each block, the posture whose tool is nearest to the goal. In the second half of the
-    table, every other joint is at a limit, for poses that are reachable only there. The table depends only on robot and
-    seed, so a goal has the same result alone and in a batch.
+    The solver runs Levenberg-Marquardt iterations from successive starts and abandons stalled starts early. The starts
+    are taken from a table of random postures: from each block, the posture whose tool is nearest to the goal. In the
+    second half of the table, every other joint is at a limit, for poses that can be reached only there. The table
+    depends only on robot and seed, so the result for a goal is the same alone and in a batch.
 
     Tasks are identified by their number of rows: 6 pose, 5 position and direction of a tool axis, 3 position, 2
     direction. Statuses: 0 solved; 1 out of reach; 2 limits; 3 singular; 4 iterations; 5 bound (`follow` only).
@@ -185,7 +186,7 @@ class InverseSolver:
     Parameters
     ----------
     chain : the chain.
-    q_min, q_max : (n,) limits; if infinite, starts are drawn from one revolution, or from twice the arm's length.
+    q_min, q_max : (n,) limits; if infinite, starts are drawn within one revolution, or twice the arm's length.
     q_home : (n,) first posture of the table, within the limits.
     seed : 0 to 2^64 - 1.
     """
@@ -210,10 +211,10 @@ class InverseSolver:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Return q (..., n), errors (..., 3), counts (..., 3) and the history (..., steps + 1, 2) or None.
 
-        The counts are the steps of all starts, the number of starts, and the status. Without a solution, `q` is the
-        posture with the smallest error; `q` is always within the limits. The errors are the position error [m], the
-        rotation error [rad] (NaN if the task does not constrain it) and the remaining slope of the objective (NaN
-        without an objective).
+        `q` is always within the limits; without a solution, it is the posture with the smallest error. The errors are
+        the position error [m], the rotation error [rad] (each NaN if the task does not constrain it) and the remaining
+        slope of the objective (NaN without an objective). The counts are the total number of steps, the number of
+        starts, and the status.
 
         Parameters
         ----------
@@ -223,13 +224,14 @@ class InverseSolver:
         axis : (3,) direction in tool axes, for tasks with 5 or 2 rows.
         steps : largest number of steps per start.
         starts : largest number of starts.
-        position_tolerance, rotation_tolerance : errors at which a goal counts as solved [m], [rad].
+        position_tolerance, rotation_tolerance : largest errors of a solved goal [m], [rad].
         damping : ``lambda = damping |e|^2``, multiplied by eight after each failure.
-        objective : use of the degrees of freedom left by the task: 0 none, 1 posture, 2 limits, 3 manipulability.
+        objective : objective for the degrees of freedom that the task leaves: 0 none, 1 posture, 2 limits, 3
+            manipulability.
         reference : (n,) or (..., n) reference of objectives 1 and 2; None: zeros.
         scale : (n,) scale of objectives 1 and 2; None: zeros.
-        history : whether to return the errors along the successful start, NaN after its end.
-        threads : 1 to 256.
+        history : whether to return the errors along the successful start, followed by NaN.
+        threads : number of threads, 1 to 256.
         """
 
     def follow(
@@ -249,24 +251,24 @@ class InverseSolver:
         history: bool = False,
         threads: int = 1,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Solve from `q0` only, without moving any joint by more than `change`; otherwise as `solve`.
+        """Solve from `q0` only, without moving any joint by more than `change`; otherwise like `solve`.
 
-        Intended for paths, on which the start is the previous posture. Either the result is near the start, or status 5
-        reports that the bound stopped the search. Damping limits the steps near singular postures. `q` is the posture
-        with the smallest error within the bound.
+        Intended for paths, where the start is the previous posture. Status 5 reports that the bound stopped the search.
+        Without a solution, `q` is the posture with the smallest error within the bound. Damping limits the steps near
+        singular postures.
         """
 
 class MessageCopier:
-    """Copier of numbers from messages into rows of arrays, for channels whose messages all have the expected layout.
+    """Copier of numbers from messages into array rows, for channels whose messages all have the same layout.
 
-    Several threads may copy simultaneously into different rows.
+    Several threads may copy into different rows at the same time.
 
     Parameters
     ----------
-    channels : a tuple per channel. It contains the channel number, the bytes of an example message, pairs (start, stop)
-        of the bytes common to all messages, pairs of the numbers to copy, and the output arrays. The output arrays have
-        a row for every message of the file: sequence numbers (N,) uint32, log times (N,) int64, and an array of N rows
-        for every pair of numbers.
+    channels : one tuple per channel: the channel number, the bytes of an example message, pairs (start, stop) of the
+        bytes common to all messages, pairs of the numbers to copy, and the output arrays. The output arrays have one
+        row per message of the file: sequence numbers (N,) uint32, log times (N,) int64, and an array of N rows for each
+        pair of numbers.
 
     Raises
     ------
@@ -275,12 +277,12 @@ class MessageCopier:
 
     def __init__(self, channels: Sequence[tuple[Any, ...]]) -> None: ...
     def copy(self, data: bytes | memoryview, first: Sequence[int], count: Sequence[int]) -> list[bool]:
-        """Copy a chunk; return whether all messages of each channel were copied. Rows of other channels are invalid.
+        """Copy a chunk; return for each channel whether all messages were copied. Otherwise, its rows are invalid.
 
         Parameters
         ----------
         data : decompressed records of the chunk.
-        first, count : for each channel, the row of its first message and the required number of messages; -1 skips it.
+        first, count : for each channel, the row of its first message and the expected number of messages; -1 skips it.
 
         Raises
         ------
@@ -288,7 +290,7 @@ class MessageCopier:
         """
 
 class MomentumEstimator:
-    """Momentum-based contact wrench from joint motion and torque, one sample at a time.
+    """Momentum-based estimator of the contact wrench from joint motion and torque, one sample at a time.
 
     Parameters
     ----------
@@ -296,7 +298,7 @@ class MomentumEstimator:
         doubt_mean : as in `WrenchEstimator`.
     memory : (n,) correlation time of the torque error [s].
     qd_noise : (n,) standard deviation of the measured velocity.
-    rate : (6,) intensity of the wrench's random walk [N^2/s, (N m)^2/s].
+    rate : (6,) intensity of the random walk of the wrench [N^2/s, (N m)^2/s].
     leak : (6,) leak of the wrench [1/s].
     gain : observer gain [1/s].
     filters : True for the Kalman filter, False for the observer.
@@ -330,29 +332,29 @@ class MomentumEstimator:
         """Reset everything except the parameters."""
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
-        """Advance by one sample; return the outputs of `WrenchEstimator.step` without an interval.
+        """Advance by one sample; return the outputs of `WrenchEstimator.step` without the interval.
 
-        The torque error is that of the low-pass filter (observer) or the part explained by the estimate (Kalman
-        filter). A non-finite sample gives NaN and leaves the state unchanged.
+        The torque error is low-pass filtered (observer), or is the part explained by the estimate (Kalman filter). A
+        non-finite sample gives NaN and leaves the state unchanged.
         """
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
         """Step along a record (N, n) with time steps dt (N,); return the outputs of `step` stacked over N."""
 
     def tare(self) -> bool:
-        """Attribute the current torque error to friction, conditioned on zero wrench; return whether this was possible.
+        """Attribute the current torque error to friction, assuming zero wrench; return whether this was possible.
 
-        All joints must be at rest, and the filter must estimate a friction error; otherwise nothing changes.
+        All joints must be at rest, and the filter must estimate friction errors; otherwise, nothing changes.
         """
 
 class Obstacles:
-    """Obstacles and the avoidance rule.
+    """Obstacles and avoidance rule of a movement primitive.
 
     Parameters
     ----------
     arm : number of dimensions of the space (2 or 3), or a `Chain`.
-    links : (B,) numbers of the links that carry the bodies of an arm, counted from 1.
-    bodies : (B, 7) ends and radius of capsules in the axes of their links [m]; unused in space.
+    links : (B,) link number of each body of an arm, counted from 1.
+    bodies : (B, 7) ends and radius of the capsules in link axes [m]; unused for a space.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].
     by_potential : whether to use the potential instead of steering.
@@ -364,19 +366,19 @@ class Obstacles:
     def place(self, capsules: Any) -> None:
         """Replace the obstacles.
 
-        `capsules`: (K, 10) ends [m], radius [m], velocity [m/s]; in the plane, the third coordinates are 0.
+        `capsules`: (K, 10) ends [m], radius [m] and velocity [m/s]; in two dimensions, third coordinates are 0.
         """
 
     def advance(self, dt: float) -> None:
         """Move the obstacles by dt [s]."""
 
     def distance(self, y: Any) -> np.ndarray:
-        """Return the smallest distance (...) [m] of y (..., n) to any obstacle surface; infinite without obstacles."""
+        """Return the smallest distance (...) [m] from y (..., n) to an obstacle surface; infinite without obstacles."""
 
     def add(self, y: Any, yd: Any, g: Any, ydd: Any) -> np.ndarray:
         """Return the acceleration (n,) with avoidance.
 
-        `y`, `yd`, `g`, `ydd`: (n,) position, velocity, goal, and acceleration without obstacles.
+        `y`, `yd`, `g`, `ydd`: (n,) position, velocity, goal, and acceleration without avoidance.
         """
 
 class Primitive:
@@ -384,11 +386,11 @@ class Primitive:
 
     Parameters
     ----------
-    centres, widths : (m,) centres and widths of the kernels; widths are standard deviations.
+    centres, widths : (m,) kernel centres and widths (standard deviations).
     weights : (m, n) kernel weights.
-    alpha, stiffness : damping and stiffness of the spring, in units of tau.
+    alpha, stiffness : spring damping and stiffness for time in units of tau.
     decay, pace : decay rate of the phase, and speed of the time phase.
-    phase : kind of the phase: "canonical", "time", "position" or "periodic".
+    phase : "canonical", "time", "position" or "periodic".
 
     Raises
     ------
@@ -410,7 +412,7 @@ class Primitive:
         """Return the normalised kernels (..., m) at phases (...)."""
 
     def design(self, x: Any, factors: Any, rows: int, columns: int) -> np.ndarray:
-        """Return zeros (columns, rows) with the kernels at phases (N,), scaled by factors (N,), in the corner [:m, :N].
+        """Return an array (columns, rows): kernels at phases (N,) times factors (N,) in [:m, :N], zeros elsewhere.
 
         Raises
         ------
@@ -429,7 +431,7 @@ class Primitive:
         ----------
         t : (N,) increasing times [s].
         tau : time constant [s].
-        y0, v0, g, scale : (n,) or (K, n) start position, start velocity, goal, and factor on the forcing term.
+        y0, v0, g, scale : (n,) or (K, n) start position, start velocity, goal, and forcing term factor.
         weights : (K, m, n) kernel weights, or None.
 
         Raises
@@ -457,8 +459,8 @@ class PrimitiveStepper:
     Parameters
     ----------
     primitive : primitive to run.
-    filter : rate of the goal filter multiplied by tau; 0 changes the goal immediately.
-    around : obstacles to avoid, which the stepper moves.
+    filter : rate of the goal filter times tau; with 0, goal changes are immediate.
+    around : obstacles to avoid, which the stepper advances in time.
     """
 
     def __init__(self, primitive: Primitive, filter: float = 0.0, around: Obstacles | None = None) -> None: ...
@@ -466,17 +468,17 @@ class PrimitiveStepper:
         """Start at phase time 0 with y0, v0, g and scale (n,), and time constant tau [s]."""
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance by a positive dt [s]; return y, yd, ydd."""
+        """Advance by dt > 0 [s]; return y, yd, ydd."""
 
     def change_goal(self, g: Any, scale: Any, limit: Any = None) -> None:
         """Change the goal.
 
-        `g`, `scale`: (n,) goal and factor on the forcing term. `limit`: (n,) largest deceleration of the brake, 0 for
+        `g`, `scale`: (n,) goal and forcing term factor. `limit`: (n,) largest deceleration of the brake, 0 for
         coordinates without a brake; None: no brake.
         """
 
     def change_tau(self, tau: float) -> None:
-        """Change the time constant, which must be positive [s]."""
+        """Change the time constant, tau > 0 [s]."""
 
     def follow(self, t: Any) -> tuple[np.ndarray, ...]:
         """Return y, yd, ydd and the forcing term, each (N, n), at times (N,) [s] that start at the current time."""
@@ -504,7 +506,7 @@ class RigidBody:
 
     def __init__(self, chain: Chain, gravity: Any, pi: Any, motors: Any = None) -> None: ...
     def rnea(self, q: Any, qd: Any, qdd: Any, f_ext: Any = None, out: Any = None) -> np.ndarray:
-        """Return tau (..., n); f_ext (..., 6) is a wrench at the tool point in base axes."""
+        """Return tau (..., n); f_ext (..., 6) is the external wrench at the tool point, in base axes."""
 
     def rnea_derivatives(
         self, q: Any, qd: Any, qdd: Any, f_ext: Any = None, out: Any = None
@@ -529,7 +531,7 @@ class RigidBody:
         """Return C (..., n, n) from Christoffel symbols."""
 
     def mass_matrix(self, q: Any, out: Any = None) -> np.ndarray:
-        """Return M (..., n, n): column j is the torque of a unit acceleration of joint j."""
+        """Return M (..., n, n): column j contains the torques for a unit acceleration of joint j."""
 
     def momentum(self, q: Any, qd: Any, out: _Pair | None = None) -> _Pair:
         """Return p = M qd and beta = C^T qd (..., n) of the links, without motors.
@@ -555,10 +557,10 @@ class RotationStepper:
 
     def __init__(self, primitive: Primitive) -> None: ...
     def start(self, q0: Any, w0: Any, goal: Any, map: Any, tau: float) -> None:
-        """Begin at phase time 0 with orientation (4,), angular velocity (3,), goal (4,) and map (3, 3)."""
+        """Start at phase time 0 with orientation (4,), angular velocity (3,), goal (4,) and map (3, 3)."""
 
     def change_goal(self, goal: Any, map: Any) -> None:
-        """Change the goal and the map."""
+        """Change the goal (4,) and the map (3, 3)."""
 
     def change_tau(self, tau: float) -> None:
         """Change the time constant [s]."""
@@ -573,17 +575,17 @@ class RotationStepper:
     tau: float
 
 class RowEncoder:
-    """Encoder that converts rows to messages with records and index entries by patching templates.
+    """Encoder of rows as message records with index entries, by patching templates.
 
     Parameters
     ----------
     topics : (channel, always, columns, variants, is_pose) per topic.
-        always : whether each row has this message, not only rows with one of its columns.
+        always : whether every row has this message, or only rows with one of its columns.
         columns : (start, nothing, optional) per column: its offset in the row, the bytes of a missing value, and
         whether messages without it have a separate template.
         variants : (message, copies) for each subset of the optional columns, with the first column as the lowest bit;
         copies : (offset in the message, offset in the row, bytes) each. The stamp follows the encapsulation.
-        is_pose : whether the only copy writes position xyz and quaternion xyzw of the homogeneous matrix in the row.
+        is_pose : whether the only copy converts a homogeneous matrix in the row to position xyz and quaternion xyzw.
 
     Raises
     ------
@@ -608,22 +610,22 @@ class RowEncoder:
         """
 
 class RowPacker:
-    """Packer that writes the data of a tick, which are attributes of three objects, into one row of bytes.
+    """Packer that writes the data of a tick, stored as attributes of three objects, into one row of bytes.
 
     Parameters
     ----------
     kinds : classes of the three objects, called "state", "command" and "tick" in `places`: dataclasses with slots or
         named tuples. Objects of other classes are read through their attributes. A command may be None.
     places : consecutive columns of the row: (column, source, field, form, nothing, detail).
-        source, field : object and attribute; source "record" is the value of this name in the attribute `record` of the
-        command, else of the tick.
-        form : "count" int64, "real" float64, "flag" one byte or int64, "code" the number that the mapping `detail`
-        assigns to a text (0 for others); "doubles" exactly the column's size, empty or None if missing; "fitting" the
-        same, with other sizes treated as missing; "padded" at most the column's size; "bits" exactly the column's size
-        in bytes, "wide" exactly the column's size in int64, None if missing; "said" one number or flag, or None;
-        "heard" a flag that is missing if it is False and the column `detail` is missing; "blank" left to be filled.
-        nothing : the bytes of a missing value; for "count", "real", "flag" and "code", only their number is used.
-    seldom : name of the first of the trailing columns that a row omits if all of them are missing.
+        source, field : object and attribute; for source "record", the entry of this name in the attribute `record` of
+        the command, else of the tick.
+        form : "count" int64; "real" float64; "flag" one byte or int64; "code" the number that the mapping `detail`
+        assigns to a text (0 for other texts); "doubles" exactly the column's size, empty or None if missing; "fitting"
+        the same, with other sizes treated as missing; "padded" at most the column's size; "bits" exactly the column's
+        size in bytes, "wide" exactly the column's size in int64, None if missing; "said" one number or flag, or None;
+        "heard" a flag that is missing if it is False and the column `detail` is missing; "blank" reserved space.
+        nothing : the bytes of a missing value; for "count", "real", "flag" and "code", only their length is used.
+    seldom : name of the first trailing column that a row may omit; these columns are omitted if all are missing.
     """
 
     def __init__(self, kinds: tuple[type, type, type], places: Sequence[tuple[Any, ...]], seldom: str) -> None: ...
@@ -637,7 +639,7 @@ class RowPacker:
         """
 
 class SignalOperator:
-    """Streaming operator with memory: one output per sample, using the true time step h since the last sample.
+    """Stateful streaming operator: one output per sample, with the actual time step h since the previous sample.
 
     ::
 
@@ -649,20 +651,20 @@ class SignalOperator:
         slope        y' of lowpass                    first output 0
         notch        x - 2 z / w y' of lowpass        first output x_0
 
-    The oscillators are solved exactly for an input that is linear between samples. With slope ``s = (x - x_prev) / h``
-    and lag ``2 z / w s``, the distance ``e = y - x_prev + lag`` and its rate ``u = y' - s`` move freely: ``[e; u] <-
-    exp([[0, 1], [-w^2, -2 z w]] h) [e; u]``.
+    Second-order operators are solved exactly for an input that is linear between samples. With the slope
+    ``s = (x - x_prev) / h`` and the lag ``2 z / w s``, the error ``e = y - x_prev + lag`` and its rate ``u = y' - s``
+    follow the unforced system: ``[e; u] <- exp([[0, 1], [-w^2, -2 z w]] h) [e; u]``.
 
     A non-finite sample gives NaN, leaves the state unchanged and is counted in `skipped`; its time is added to the next
-    step. A step longer than 1.5 dt (1.5 times the first step if dt is NaN) is counted in `gaps`.
+    step. Steps longer than 1.5 dt (1.5 times the first step if dt is NaN) are counted in `gaps`.
 
     Parameters
     ----------
-    kind : kind of the operator, see above.
+    kind : operator, one of the names above.
     a : time constant T [s], or angular frequency w [rad/s].
     b : damping ratio z < 1.
     dt : nominal step [s]; NaN if every sample has a time stamp.
-    init : None, a number, or an array of the shape of a sample.
+    init : None, a number, or an array with the shape of a sample.
     """
 
     def __init__(self, kind: str, a: float, b: float, dt: float, init: np.ndarray | float | None = None) -> None: ...
@@ -673,7 +675,7 @@ class SignalOperator:
         """Advance by one sample; return the output."""
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-        """Step along samples (N, ...); return the outputs stacked over N."""
+        """Process samples (N, ...); return the outputs stacked over N."""
 
     gaps: int
     longest_gap: float
@@ -686,13 +688,13 @@ class TwoDof:
     ----------
     primitive : spring, basis and weights.
     tau : time constant of the primitive [s].
-    y0, g, scale : (n,) start (reference of the position phase), goal, and factor on the forcing term.
+    y0, g, scale : (n,) start (reference of the position phase), goal, and forcing term factor.
     gains : (5,) kp [1/s^2], kv [1/s], kc, alpha_e [1/s], e_max (may be infinite).
     dead_zone, unit : (n,) dead zone and unit of the error e.
 
     Raises
     ------
-    ShapeError : wrong shapes, more than 32 coordinates, or numbers that are non-finite or out of range.
+    ShapeError : wrong shapes, more than 32 coordinates, or non-finite or out-of-range numbers.
     """
 
     def __init__(
@@ -712,13 +714,13 @@ class TwoDof:
         Parameters
         ----------
         state : (5 n + 2,) state at the beginning.
-        dt : duration [s], divided into `steps` equal steps, at least one.
+        dt : duration [s], divided into at least one equal step.
         driven : (n,) externally imposed velocity of ya; NaN for coordinates with ya'' = ya_ref''.
         speed : (3,) v at the beginning and at the end, linear in between, and v' after the end.
 
         Raises
         ------
-        ShapeError : wrong shapes, no step, or a dt that is negative or not finite.
+        ShapeError : wrong shapes, no steps, or a negative or non-finite dt.
         """
 
     def reference(self, state: np.ndarray, speed: np.ndarray) -> np.ndarray:
@@ -742,7 +744,8 @@ class TwoDof:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the state after dt [s], given measured ya and ya' (n,), and its `reference`.
 
-        In between, ya moves with the previously measured velocity. A non-finite sample is ignored, and ya continues.
+        Between samples, ya moves with the previously measured velocity. Non-finite samples are ignored, and ya keeps
+        moving.
 
         Raises
         ------
@@ -760,29 +763,29 @@ class TwoDof:
     n: int
 
 class WrenchEstimator:
-    """Contact wrench from joint motion and torque, one sample at a time.
+    """Estimator of the contact wrench from joint motion and torque, one sample at a time.
 
     Parameters
     ----------
     chain : kinematics and dynamics kernel.
-    gravity : (3,) [m/s^2], base axes.
+    gravity : (3,) gravity in base axes [m/s^2].
     links : (n, 10) link parameters.
     rotor : (n,) rotor inertia.
-    drive : friction and ripple of the same number of joints.
+    drive : friction and ripple of the n joints.
     gains : (n,) ratio of measured to true torque.
     gain_variance : variance of the common factor of all gains.
     covariance : (5, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const), relative uncertainty of the contact torque;
         C0 and Cinf are already scaled.
-    bound : (3, n) rows torque, speed and floor of the bound on low-speed friction.
+    bound : (3, n) rows torque, speed and floor of the low-speed friction bound.
     prior : (6,) prior variances of the wrench.
     cutoff : cut-off frequency of the low-pass filter [Hz].
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
-    point : (3,) contact point in tool axes, or None if the complete wrench is unknown.
-    doubt_columns : (n, W) columns of the uncertain parameters of each joint, padded with -1; or None. The order of
-        columns is links (10 n), rotors (n), and the joint's own friction: viscous, Coulomb per direction, offset,
+    point : (3,) contact point in tool axes; None: estimate the full wrench.
+    doubt_columns : (n, W) columns of the uncertain parameters of each joint, padded with -1; or None. Columns are
+        ordered as links (10 n), rotors (n), and the friction of the joint: viscous, Coulomb per direction, offset,
         Stribeck, root, load.
-    doubt_cov : (n, W, W) covariances of these parameters, of which the lower triangle is used; or None.
-    doubt_mean : (n,) torque variance that counts as zero; or None.
+    doubt_cov : (n, W, W) covariances of these parameters, or None; only the lower triangle is used.
+    doubt_mean : (n,) torque variance to subtract, or None.
     """
 
     def __init__(
@@ -811,15 +814,15 @@ class WrenchEstimator:
         """Advance by one sample.
 
         Returns F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,), flags, active joints (n,)
-        and, for the method "interval", the interval (6, 2), else None. A sample that is non-finite, has a non-finite
-        torque error, or has dt <= 0 gives NaN everywhere and leaves the state unchanged.
+        and, for the method "interval", the interval (6, 2), else None. A non-finite sample or torque error, or dt <= 0,
+        gives NaN everywhere and leaves the state unchanged.
         """
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
         """Step along a record (N, n) with time steps dt (N,); return the outputs of `step` stacked over N."""
 
 def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m), with x clipped to the centres' range.
+    """Return Gaussians ``exp(-((x - c) / w)^2)`` (N, m), normalised to sum 1; x is clipped to the range of centres.
 
     Parameters
     ----------
@@ -828,10 +831,10 @@ def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.
     """
 
 def euler_from_rpy(rpy: Any, first: int, middle: int, last: int, out: Any = None) -> np.ndarray:
-    """Return the product of the three rotations."""
+    """Return the product of the rotations about the axes `first`, `middle` and `last` (0 x, 1 y, 2 z)."""
 
 def euler_to_rpy(R: Any, first: int, middle: int, last: int, out: Any = None) -> np.ndarray:
-    """Return the angles: the first two from the rotated last axis, the third after undoing the first."""
+    """Return the angles; the first two follow from the rotated last axis, the third after undoing the first."""
 
 def follow_path(
     solver: InverseSolver,
@@ -852,31 +855,31 @@ def follow_path(
     """Return q (N, n), errors (N, 3) and counts (N, 3) along a path.
 
     Each row is solved from the previous row plus its last step (without the self-motion part), within `change`. If this
-    fails, the search continues from random starts around the previous row, then further away, and finally, on another
-    branch, from the table of the solver. Errors are as in `InverseSolver.solve`. Counts are steps, status, and whether
-    the row is on another branch. A row with nonzero status breaks the path. If its errors are within the tolerances,
-    `q` is a solution beyond the break, otherwise the posture with the smallest error.
+    fails, the search continues from random starts around the previous row, then further away, and finally on another
+    branch, from the solver's table. Errors are as in `InverseSolver.solve`. Counts are steps, status, and whether the
+    row is on another branch. A row with nonzero status breaks the path. If its errors are within the tolerances, `q` is
+    a solution beyond the break; otherwise, it is the posture with the smallest error.
 
     Parameters
     ----------
     solver : the arm and its limits.
     T_base_tool : (N, 4, 4) successive goals.
-    q0 : (n,) start of the first row; None: the table of the solver.
-    change : (n,) largest change of each joint per row, possibly infinite; None: 0.05 rad and five times the length of
+    q0 : (n,) start of the first row; None: the solver's table.
+    change : (n,) largest change of each joint per row, possibly infinite; None: 0.05 rad plus five times the length of
         the pose step.
     task, axis, steps, starts, position_tolerance, rotation_tolerance, damping, objective, scale : as in
-        `InverseSolver.solve`; the starts are those of the search for another branch.
+        `InverseSolver.solve`; `starts` applies to the search for another branch.
     reference : (n,) or (N, n), as in `InverseSolver.solve`.
     """
 
 def await_datagram(sockets: Sequence[int], poll_ns: int, end_ns: int) -> bool:
-    """Wait without the interpreter lock until a socket is readable; return False on timeout or after a signal.
+    """Wait with the interpreter lock released until a socket is readable; return False on timeout or after a signal.
 
-    The function sleeps until `poll_ns`, then polls until `end_ns`; both are times of the monotonic clock.
+    The function sleeps until `poll_ns`, then polls until `end_ns`; both are monotonic clock times.
     """
 
 def filled(kind: Any, slots: tuple[Any, ...], values: tuple[Any, ...]) -> Any:
-    """Return an instance of a class whose slots are filled with the values; its constructor is not called."""
+    """Return an instance of a class with its slots filled with the values, without calling the constructor."""
 
 def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
     """Return the read-only velocity (n,) after a step from `last` to `q`, filtered by a first-order low-pass [Hz]."""
@@ -886,9 +889,9 @@ def implausible(
 ) -> int:
     """Return i (from 1) if joint i is outside its range, -i if joint i moved too far since `before`, else 0.
 
-    `bounds`: lowest and highest positions, and speeds (3, n). A joint is outside its range if it exceeds the range by
-    more than `margin`. A joint moved too far if it moved by more than ``step + speed * seconds``. The result is the
-    first non-finite joint, otherwise the joint with the largest violation.
+    `bounds`: (3, n) lowest positions, highest positions and speeds. A joint is outside its range if it exceeds the
+    range by more than `margin`. It moved too far if it moved by more than ``step + speed * seconds``. The result is the
+    first non-finite joint or, if there is none, the joint with the largest violation.
     """
 
 def following_error(
@@ -916,8 +919,8 @@ def limit_reference(
 ) -> tuple[np.ndarray, np.ndarray, float, int]:
     """Return the next reference: position and velocity, active limits, velocity ratio, and rejected joint.
 
-    With T the time since the last reference, a the acceleration limit, and ``S(d, L)`` the highest velocity from which
-    an arm with lag L can still stop within d, for any length of the next steps: ``S (T + L) + S^2 / (2 a) = d``.
+    Let T be the time since the last reference and a the acceleration limit. ``S(d, L)`` is the highest velocity from
+    which an arm with lag L can still stop within d, for any length of the next steps: ``S (T + L) + S^2 / (2 a) = d``.
     Braking from S with a is then always sufficient::
 
         position   v* = v_r + sign(e) S(|e|, 0),  e = q_last - q,  v_r = (q_ref - q_last) / T
@@ -927,17 +930,18 @@ def limit_reference(
         v  = v* within v_prev +- a T, then within [-S(q - q_min, lag), S(q_max - q, lag)]
         q' = q + v T, kept within the limits; a joint outside them may only move back
 
-    The speed sent is v; if position and velocity are given, it is qd_ref within v +- a T, subject to the same limits.
+    The speed sent is v. If both position and velocity are given, it is qd_ref within v +- a T, subject to the same
+    limits.
 
     Parameters
     ----------
     sent : (3, n) previous reply: position, step velocity, speed.
     bounds : (5, n) q_min, q_max, qd_max, qdd_max, jump; infinite without a limit.
-    period : T, seconds.
+    period : time T since the last reference [s].
     q_ref : (n,) requested position, or None.
     q_last : (n,) previously requested position, or None.
     qd_ref : (n,) requested velocity, or None. Without position and velocity, the arm is brought to rest.
-    lag : lag of the arm behind its reference [s]; the margin before its limits is lag times the speed.
+    lag : lag of the arm behind its reference [s]; the margin to the limits is lag times speed.
 
     Returns
     -------
@@ -960,15 +964,16 @@ def model_torque(
 ) -> np.ndarray:
     """Return ``rnea + rotor qdd + drives`` (N, n) along a record, with the presliding state z = 0 at the first row.
 
-    A row with a non-finite number gives NaN and leaves the state of the drives unchanged.
+    A row with a non-finite number gives NaN and leaves the drive state unchanged.
 
     Parameters
     ----------
-    chain, gravity, links, rotor : of the rigid body, see `Chain.rnea`; rotor (n,).
-    drive : friction and ripple of the same number of joints.
+    chain, gravity, links : rigid body as in `Chain.rnea`.
+    rotor : (n,) rotor inertia.
+    drive : friction and ripple of the n joints.
     q, qd, qdd : (N, n) in time order.
     dt : (N,) step of each row [s]; without it, the drives do not warm up.
-    out : (N, n) array to write into.
+    out : (N, n) array for the result.
     """
 
 def momentum_step(
@@ -983,15 +988,15 @@ def momentum_step(
     q: np.ndarray,
     a: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a measurement of the momentum.
+    """Return the state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a momentum measurement.
 
-    This function performs one step of `MomentumEstimator`; it is public for the tests of the estimator equations.
+    This is one step of `MomentumEstimator`, exposed for the tests of the estimator equations.
 
     Parameters
     ----------
     x, P : state [p; z] and its covariance, both before the step.
     G : (n, m) effect of the hidden inputs on the momentum.
-    u : (n,) mean known input over the step.
+    u : (n,) mean of the known input over the step.
     y : (n,) measured momentum.
     R : (n, n) covariance of the measured momentum.
     h : step [s].
@@ -1000,7 +1005,7 @@ def momentum_step(
     """
 
 def poses(T: Any, name: str) -> np.ndarray:
-    """Return poses (..., 4, 4) as float64; reject the first invalid pose.
+    """Return poses (..., 4, 4) as float64; raise an error that describes the first invalid pose.
 
     Parameters
     ----------
@@ -1016,8 +1021,7 @@ def presliding(q: np.ndarray, delta: np.ndarray, resolution: np.ndarray) -> np.n
     """Return the presliding state z (N, n) in [-1, 1] along positions `q` (N, n) [rad], from 0 at the first row.
 
     ``z_k = s + (z_{k-1} - s) exp(-|dy_k| / delta)`` with s = sign(dy_k). y follows q with a backlash of +-resolution,
-    so that the last digit of an encoder at rest does not change the state. A row with NaN gives NaN and leaves the
-    state unchanged.
+    so encoder quantisation at rest does not change the state. A row with NaN gives NaN and leaves the state unchanged.
 
     Parameters
     ----------
@@ -1033,7 +1037,7 @@ def quaternion_multiply(p: Any, q: Any, out: Any = None) -> np.ndarray:
     """Return ``(p_w q_w - p_v · q_v, p_w q_v + q_w p_v + p_v × q_v)``."""
 
 def quaternion_slerp(a: Any, b: Any, s: Any, out: Any = None) -> np.ndarray:
-    """Return ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω`` with Ω of at most π/2."""
+    """Return ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω`` with Ω ≤ π/2."""
 
 def quaternion_to_matrix(quaternion: Any, out: Any = None) -> np.ndarray:
     """Return ``I + 2 w hat(v) + 2 hat(v)²`` of the unit quaternion (w, v)."""
@@ -1058,7 +1062,7 @@ def rotation_rollout(
     """
 
 def rotations(R: Any, name: str) -> np.ndarray:
-    """Return rotations (..., 3, 3) as float64; reject the first one with an error above 1e-6.
+    """Return rotations (..., 3, 3) as float64; raise an error that describes the first invalid rotation.
 
     Parameters
     ----------
@@ -1067,7 +1071,7 @@ def rotations(R: Any, name: str) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : a wrong shape, ``max|RᵀR - I| > 1e-6``, a negative determinant, or an infinite entry.
+    ShapeError : a wrong shape, ``max|RᵀR - I| > 1e-5``, a negative determinant, or an infinite entry.
     """
 
 def se3_adjoint(T_a_b: Any, out: Any = None) -> np.ndarray:
@@ -1077,7 +1081,7 @@ def se3_exp(xi: Any, out: Any = None) -> np.ndarray:
     """Return ``[[exp(w), V v], [0, 1]]`` with V the left Jacobian of w."""
 
 def se3_interpolate(T_a: Any, T_b: Any, s: Any, screw: bool = False, out: Any = None) -> np.ndarray:
-    """Return ``T_a exp(s log(T_a⁻¹ T_b))`` if `screw` is set, else a linear position and `so3_interpolate`."""
+    """Return ``T_a exp(s log(T_a⁻¹ T_b))`` if `screw` is set, else linear positions and `so3_interpolate`."""
 
 def se3_inv(T: Any, out: Any = None) -> np.ndarray:
     """Return ``[[Rᵀ, -Rᵀ p], [0, 1]]``."""
@@ -1101,7 +1105,7 @@ def so3_exp(w: Any, out: Any = None) -> np.ndarray:
     """Return ``I + sin θ/θ hat(w) + 2 sin²(θ/2)/θ² hat(w)²``."""
 
 def so3_interpolate(R_a: Any, R_b: Any, s: Any, out: Any = None) -> np.ndarray:
-    """Return ``R_a exp(s log(R_aᵀ R_b))``, computed from the nearer end so that both ends are exact."""
+    """Return ``R_a exp(s log(R_aᵀ R_b))``, computed from the nearer end, so both ends are exact."""
 
 def so3_left_jacobian(w: Any, out: Any = None) -> np.ndarray:
     """Return ``I + (1 - cos θ)/θ² hat(w) + (θ - sin θ)/θ³ hat(w)²``."""
@@ -1117,13 +1121,13 @@ def solve_wrench(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
     """Return x (k,), its covariance (k, k), active joints (n,), iterations, KKT residual and whether x is undetermined.
 
-    x and its covariance are NaN where the data do not determine them. This function performs one solution of
-    `WrenchEstimator`; it is public for the tests of the estimator equations.
+    x and its covariance are NaN where the data do not determine them. This is one solution step of `WrenchEstimator`,
+    exposed for the tests of the estimator equations.
 
     Parameters
     ----------
     A : (k, n) rows of the Jacobian for the k unknowns.
-    error, variance, bound : (n,) torque errors [N m], positive variances [(N m)^2], bounds [N m] of at least 0.
+    error, variance, bound : (n,) torque errors [N m], positive variances [(N m)^2], non-negative bounds [N m].
     prior : (k,) positive prior variances of the unknowns.
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
     """
@@ -1133,8 +1137,8 @@ def wrench_interval(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return the smallest and largest value (k, 2) of each unknown in {x : |error - A^T x| <= spread, |x| <= box}.
 
-    The values are None if the set is empty; the mask (n,) then marks contradictory joints. The values are NaN for
-    non-finite torque errors or rows of the Jacobian.
+    If the set is empty, the values are None, and the mask (n,) marks contradictory joints. The values are NaN if torque
+    errors or rows of the Jacobian are non-finite.
 
     Parameters
     ----------

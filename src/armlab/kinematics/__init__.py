@@ -1,4 +1,4 @@
-"""Robot kinematics: poses, Jacobians, inverse kinematics and dexterity for one configuration or a batch."""
+"""Robot kinematics: poses, Jacobians, inverse kinematics and dexterity, for single configurations or batches."""
 
 from __future__ import annotations
 

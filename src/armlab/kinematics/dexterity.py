@@ -22,26 +22,26 @@ _ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}
 
 Task = Literal["pose", "position", "axis"]
 
-# rows of the twist in tool axes, in which the rotation about the tool's z axis comes last
+# number of constrained twist rows in tool axes; the last row is the rotation about the tool's z axis
 _TASK_ROWS = {"pose": 6, "position": 3, "axis": 5}
-_STEP = 0.02  # longest integration step [rad]
-_SHORTEST = 1e-7  # shortest integration step [rad]
+_STEP = 0.02  # largest integration step [rad]
+_SHORTEST = 1e-7  # smallest integration step [rad]
 _EXACT = 1e-12  # residual of the correction [m, rad], and rounding margin at the limits
-_DRIFT = 1e-4  # largest correction of a step, relative to its length
+_DRIFT = 1e-4  # largest correction, relative to the step length
 _MOST = 10**6  # largest number of points
-_FARTHEST = 1e3  # largest length [rad or m]; a longer closed self-motion would repeat
+_FARTHEST = 1e3  # largest length [rad or m]; beyond it, a closed self-motion only repeats
 _SINGULAR = 1e-9  # relative to the largest singular value
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ellipsoid(Shown):
-    """Ellipsoid about the tool point, or a batch of ellipsoids; arrays are read-only.
+    """Ellipsoid centred at the tool point, or a batch of ellipsoids; arrays are read-only.
 
     Attributes
     ----------
     axes : (..., 3, 3) directions of the semi-axes as columns, in base axes, right-handed; signs are arbitrary.
     lengths : (..., 3) lengths of the semi-axes. Velocity: m/s or rad/s per unit of joint speed, longest first. Force: N
-        or N m per unit of joint torque, shortest first; infinite if the structure carries the load.
+        or N m per unit of joint torque, shortest first; infinite in directions that load only the structure.
     """
 
     axes: np.ndarray
@@ -54,9 +54,9 @@ class Ellipsoid(Shown):
 def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
     """Return the singular values (..., min(m, n)) of the Jacobian, or of its rows for one part of the twist.
 
-    ``J = U diag(s) V^T``, with descending s and m = 6 rows for the pose, or 3 for a part. ``s[..., -1]`` is the
-    smallest tool speed per unit of joint speed over all directions. It is the distance to the nearest singular
-    Jacobian, and 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is the condition number.
+    ``J = U diag(s) V^T`` with descending s; J has m = 6 rows for the pose, and 3 rows for a part. ``s[..., -1]`` is the
+    smallest tool speed per unit of joint speed over all directions. It equals the distance to the nearest singular
+    Jacobian and is 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is the condition number.
 
     Parameters
     ----------
@@ -77,9 +77,9 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
     """Return Yoshikawa's manipulability (...), the volume of the twists produced by the unit ball of joint velocities.
 
     ``w = sqrt(det(J J^T))``, the product of the singular values, is 0 in singular postures. If the arm has fewer joints
-    n than the part has rows, this determinant is 0 in every posture. In that case ``w = sqrt(det(J^T J))``, the volume
-    within the n directions in which the joints can move the tool. An orthogonal factorisation of J, rather than J J^T,
-    keeps the result accurate to the rounding of J near singular postures.
+    n than the part has rows, this determinant is 0 in every posture. The result is then ``w = sqrt(det(J^T J))``, the
+    volume within the n directions in which the joints can move the tool. It is computed by an orthogonal factorisation
+    of J, and is therefore accurate to the rounding error of J near singular postures.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _rows(robot: Robot, q: ArrayLike, part: Part) -> np.ndarray:
 
 
 def _svd(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return U, s and V^T with square U and V; NaN for samples that contain NaN, which LAPACK rejects."""
+    """Return U, s and V^T with square U and V; samples with NaN, which LAPACK rejects, give NaN."""
     known = np.asarray(np.isfinite(J).all(axis=(-2, -1)))
     U, s, Vt = np.linalg.svd(np.where(known[..., None, None], J, 0.0))
     U[~known], s[~known], Vt[~known] = np.nan, np.nan, np.nan
@@ -188,9 +188,9 @@ class SelfMotion(Shown):
     q : (N, n) joint positions; the first is the start.
     s : (N,) arc length [rad; m for prismatic joints].
     position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
-    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. Task "axis": of its z axis
-        only; task "position": 0.
-    end : reason for the end: "length" (the full length was reached), "limit of joint k", "optimum" or "singular".
+    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. For the task "axis", of the z axis
+        only; for "position", 0.
+    end : reason for the end: "length" (full length reached), "limit of joint k", "optimum" or "singular".
     """
 
     q: np.ndarray
@@ -214,27 +214,27 @@ def self_motion(
 ) -> SelfMotion:
     """Follow the self-motion from a posture: ``J(q) dq/ds = 0``, ``|dq/ds| = 1``.
 
-    Each point is found by one RK4 step along the null space, followed by Newton steps ``dq = J^+ e`` back to the pose.
-    Every point preserves the pose to 1e-9 (typically 1e-12) and is within the joint limits. If the motion reaches a
-    limit, it ends with a point on that limit.
+    Each point is found by RK4 steps along the null space, followed by Newton corrections ``dq = J^+ e`` back to the
+    pose. Every point preserves the pose to 1e-9 (typically 1e-12) and is within the joint limits. If the motion reaches
+    a limit, it ends with a point on that limit.
 
     Parameters
     ----------
     robot : an arm with more joints than the task needs.
     q : (n,) start posture, inside the limits [rad or m].
-    direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint in its positive direction.
-        Alternatively, (n,) joint velocities, which are projected onto the null space, or a function of the joint
-        positions that returns the gradient (n,) of an objective, for example the manipulability. In the last case, the
-        motion ascends to the optimum.
+    direction : 1 or -1 for a one-dimensional self-motion: 1 moves the fastest joint in its positive direction.
+        Alternatively, (n,) joint velocities, which are projected onto the null space. Or a function of the joint
+        positions that returns the gradient (n,) of an objective, for example the manipulability; the motion then
+        ascends to the optimum.
     length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
-    points : number of evenly spaced points over the whole length, both ends included, 2 to 1 000 000.
+    points : number of evenly spaced points over the whole length, including both ends, 2 to 1 000 000.
     task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.
 
     Raises
     ------
     RobotError : if the robot has no redundant joint for the task, or is not a `Robot`.
-    SingularPoseError : if `q` is singular, `direction` is a sign although several directions exist, or `direction` has
-        no null-space component.
+    SingularPoseError : if `q` is singular, if `direction` is a sign but the self-motion has several dimensions, or if
+        `direction` has no null-space component.
     ShapeError : if `q` is not (n,), finite and inside the limits, or if an argument is invalid.
     UnknownName : if `task` is unknown.
     """
@@ -294,13 +294,13 @@ class _Curve:
         along = self.projected(q, wanted)
         if np.linalg.norm(along) <= 1e-9 * np.linalg.norm(wanted):
             raise SingularPoseError(
-                "Expected a direction with a component along the self-motion, got a direction that only moves the "
-                "tool, or an objective at its optimum. Pass a different direction."
+                "Expected a direction with a component along the self-motion, got a direction that would only move "
+                "the tool, or an objective at its optimum. Pass a different direction."
             )
         return q, along / np.linalg.norm(along)
 
     def step(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float, str]:
-        """Return the next point, its tangent and distance, and "length" or the reason for ending."""
+        """Return the next point, its tangent, the distance moved, and "length" or the reason for the end."""
         if self.climbs:
             uphill = self.projected(q, self.gradient(q))
             tangent = uphill / max(float(np.linalg.norm(uphill)), 1e-300)
@@ -312,7 +312,7 @@ class _Curve:
         if not beyond:
             return *there, h, "length"
         low, high, best = 0.0, h, (q, tangent)
-        while high - low > 1e-12:  # bisection to the last valid point
+        while high - low > 1e-12:  # bisect to the last valid point
             middle = (low + high) / 2
             there = self.ahead(q, tangent, middle)
             if there is None or self.beyond(*there):
@@ -323,7 +323,7 @@ class _Curve:
         return *best, low, end
 
     def ahead(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the point at arc length h and its tangent; None if the curvature is too large for the step."""
+        """Return the point at arc length h and its tangent, or None if the step is too large for the curvature."""
         k1 = tangent
         k2 = self.tangent(q + h / 2 * k1, tangent)
         k3 = self.tangent(q + h / 2 * k2, tangent)
@@ -364,7 +364,7 @@ class _Curve:
         return _vector(self.robot, self.climbs(q) if self.climbs else None, "the gradient that direction(q) returns")
 
     def error(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose error as a twist (6,) in tool axes (0 in directions left free by the task), and J (m, n)."""
+        """Return the pose error as a twist (6,) in tool axes, with 0 in directions free in the task, and J (m, n)."""
         T_base_tool = forward(self.robot, q)
         R_transposed = T_base_tool[:3, :3].T
         turn = R_transposed @ self.T_base_goal[:3, :3]

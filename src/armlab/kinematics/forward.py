@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians: tool and link poses, geometric Jacobian, its derivative, parameter Jacobian."""
+"""Forward kinematics and Jacobians: tool and link poses, geometric and parameter Jacobians, and derivatives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TOOL_AXES = {"base": False, "tool": True}
 
 
 def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: int = 1) -> np.ndarray:
-    """Return the poses (..., 4, 4) of the tool in the base.
+    """Return the tool poses (..., 4, 4) in the base frame.
 
     ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n``, including mount and tool.
 
@@ -24,7 +24,7 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., 4, 4) output array; default: newly allocated. Reusing a large array saves a third of the time.
+    out : (..., 4, 4) output array; default: newly allocated. Reusing an array makes large batches a third faster.
     threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Raises
@@ -41,10 +41,9 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
 
 
 def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the poses (..., n, 4, 4) of link frames 1 ... n in the base.
+    """Return the poses (..., n, 4, 4) of link frames 1 ... n in the base frame.
 
-    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``: the z axis of frame i is joint axis i, and the frame moves with
-    link i.
+    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``. Frame i moves with link i, and its z axis is joint axis i.
 
     Parameters
     ----------
@@ -68,14 +67,14 @@ def jacobian(
 ) -> np.ndarray:
     """Return the Jacobian (..., 6, n) of the tool point: ``[v; w] = J(q) qd``.
 
-    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench on the tool at the tool
-    point, in the same axes, causes the joint torques ``tau = J^T wrench``.
+    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench on the tool, at the tool
+    point and in the same axes, causes the joint torques ``tau = J^T wrench``.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    frame : axes of v and w, "base" or "tool"; the point is the tool's origin in both.
+    frame : axes of v and w, "base" or "tool"; the reference point is always the tool origin.
     out : (..., 6, n) output array; default: newly allocated.
     threads : number of threads, 1 to 256; the result is bitwise identical.
 
@@ -95,22 +94,22 @@ def forward_jacobian(
     out: tuple[np.ndarray, np.ndarray] | None = None,
     threads: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose of the tool and its Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one pass along the arm.
+    """Return the tool pose and Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one pass along the arm.
 
-    The results equal those of `forward` and `jacobian` bit for bit, but take little more time than `jacobian` alone.
+    The results are bit-identical to those of `forward` and `jacobian`, and take little more time than `jacobian` alone.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    frame : axes of the Jacobian, "base" or "tool"; the pose is in the base in both.
-    out : pair of output arrays (..., 4, 4) and (..., 6, n); default: newly allocated. Reusing large arrays saves half
-        of the time.
+    frame : axes of the Jacobian, "base" or "tool"; the pose is always in the base frame.
+    out : pair of output arrays (..., 4, 4) and (..., 6, n); default: newly allocated. Reusing arrays halves
+        the time of large batches.
     threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Returns
     -------
-    T_base_tool : (..., 4, 4) pose of the tool in the base.
+    T_base_tool : (..., 4, 4) tool pose in the base frame.
     J : (..., 6, n) Jacobian with rows [v; w].
 
     Raises
@@ -130,7 +129,7 @@ def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
         return robot.chain, _TOOL_AXES[frame]
     except AttributeError:
         raise RobotError.no_robot(robot) from None
-    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
+    except (KeyError, TypeError):  # TypeError: arrays and lists are unhashable
         raise UnknownName.among("Jacobian frame", frame, _TOOL_AXES) from None
 
 
@@ -139,17 +138,18 @@ def jacobian_derivative(
 ) -> np.ndarray:
     """Return the time derivative (..., 6, n) of the Jacobian: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 
-    It is the derivative of the array that `jacobian` returns for the same `frame`. In base axes, `vd` and `wd` are the
-    accelerations of the tool point and of the tool. In tool axes, they are the rates of the velocity components. The
-    acceleration of the tool point in tool axes is then ``vd + w x v``, and the angular acceleration is `wd`. The result
-    equals Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED and LOCAL.
+    This is the derivative of the array returned by `jacobian` for the same `frame`. In base axes, `vd` is the
+    acceleration of the tool point and `wd` the angular acceleration of the tool. In tool axes, they are the rates of
+    the velocity components; the acceleration of the tool point is then ``vd + w x v``, and the angular acceleration is
+    `wd`. The result equals Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED ("base") and LOCAL
+    ("tool").
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    qd : (..., n) joint velocities [rad/s or m/s], of the shape of `q`.
-    frame : axes of the Jacobian, "base" or "tool"; the point is the tool's origin in both.
+    qd : (..., n) joint velocities [rad/s or m/s], with the shape of `q`.
+    frame : axes of the Jacobian, "base" or "tool"; the reference point is always the tool origin.
     out : (..., 6, n) output array; default: newly allocated.
 
     Raises
@@ -163,11 +163,11 @@ def jacobian_derivative(
 
 
 def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
-    """Return the Jacobian (..., 6, n+1, 6) of the tool pose for perturbations ``E_j Exp([v; w])`` of each frame j.
+    """Return the Jacobian (..., 6, n+1, 6) of the tool pose for perturbations ``E_j Exp([v; w])`` of all frames j.
 
     The tool twist due to frame j is ``J[..., j, :] @ [v; w]``. With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)``,
-    the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and rotates by ``R_j w``. The rows
-    are [v; w] at the tool point in base axes. The column of joint j + 1 is column w_z (prismatic: v_z) of frame j.
+    the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and rotates by ``R_j w``. Rows
+    are [v; w] at the tool point in base axes. The position of joint j + 1 acts as w_z (prismatic: v_z) of frame j.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
 
 
 def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
-    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j`` (..., n+1, 4, 4); the last is the tool."""
+    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j`` (..., n+1, 4, 4); the last pose is that of the tool."""
     links = chain.link_transforms(q)
     P = np.empty((*links.shape[:-3], len(frames), 4, 4))
     P[..., 0, :, :] = frames[0]

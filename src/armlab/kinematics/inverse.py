@@ -1,4 +1,4 @@
-"""Inverse kinematics for one pose or a batch: solver, tasks, objectives and result."""
+"""Inverse kinematics for single poses or batches: solver, tasks, objectives and result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EXPLANATIONS = {
 Task = Literal["pose", "position", "axis", "direction"]
 Objective = Literal["posture", "mid_range", "limits", "manipulability"]
 ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
-MOST_STEPS = 10**6  # largest number of iterations per start; their history takes 16 MB per goal
+MOST_STEPS = 10**6  # largest number of iterations per start; the history then takes 16 MB per goal
 _KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
 _INTEGER, _NUMBER = (int, np.integer), (int, float, np.integer, np.floating)
 
@@ -51,14 +51,14 @@ def inverse(
 
     The solver takes Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
     ``e = [p_goal - p; log(R_goal R^T)]``, where positions [m] are multiplied by 3 / (length of the arm). Joints that
-    would leave their limits stay at the limits, and the other joints compensate. If the search stalls, it restarts from
-    a table of random postures, beginning with those that place the tool closest to the goal. The result is always
+    would exceed their limits stay at the limits, and the other joints compensate. If the search stalls, it restarts
+    from a table of random postures, beginning with those that place the tool closest to the goal. The result is always
     within the limits.
 
     Parameters
     ----------
     robot : the arm.
-    T_base_tool : (..., 4, 4) goals: poses of the tool in the base.
+    T_base_tool : (..., 4, 4) goals: tool poses in the base frame.
     q0 : (n,) or (..., n) initial posture [rad or m], for all goals or for each goal; clipped to the limits. Default:
         the home posture or a random posture, whichever places the tool closer to the goal.
     task : "pose", "position" (of the tool point), "axis" (position and direction of a tool axis) or "direction" (of
@@ -68,29 +68,29 @@ def inverse(
         range of a joint, and ``x = (q - m) / r``:
         "posture": ``sum of (q - posture)^2 / 2``;
         "mid_range": ``sum of x^2 / 2``;
-        "limits": the largest ``|x|``, smoothed: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, plus a
-        thousandth of "mid_range";
-        "manipulability": ``-log(det(J J^T)) / 2`` of the task rows of the Jacobian.
+        "limits": a smooth maximum of ``|x|``, ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, plus 0.001 times
+        "mid_range";
+        "manipulability": ``-log(det(J J^T)) / 2``, with the task rows J of the Jacobian.
     posture : (n,) or (..., n) target of the objective "posture"; default: `q0`, or the home posture without `q0`.
     tol : position tolerance [m] and rotation tolerance [rad]; one number for both, or a pair.
-    maxiter : iterations per start, 0 to 1 000 000; if all starts fail, the best start continues for as many more
-        iterations.
+    maxiter : maximum number of iterations per start, 0 to 1 000 000; if all starts fail, the best start continues for
+        the same number again.
     starts : maximum number of starts; 1: only `q0`.
-    damping : lambda divided by the squared error (ikinePOE's lambda); a failed step multiplies it by 8.
-    seed : seed of the random postures; results are reproducible, and the same for a batch as for single goals.
-    threads : number of threads that share the goals, 1 to 256; does not affect the result.
-    history : record the errors along the descent that produced the result.
-    strict : raise an exception if a goal is not solved.
+    damping : lambda divided by the squared error (ikinePOE's lambda); multiplied by 8 after a failed step.
+    seed : seed of the random postures; results are reproducible, and identical for batches and single goals.
+    threads : number of threads that share the goals, 1 to 256; the result does not depend on it.
+    history : whether to record the errors during the descent that produced the result.
+    strict : whether to raise an exception if a goal is not solved.
 
     Returns
     -------
-    IkSolution with arrays of the batch shape. For unsolved goals, it contains the posture with the smallest error and
-    the reason.
+    IkSolution, whose arrays have the batch shape. For unsolved goals, it contains the posture with the smallest error
+    and the reason.
 
     Raises
     ------
-    ShapeError : if a goal is not a pose or not finite (the message states its index), or if `q0`, `axis` or `posture`
-        has the wrong shape.
+    ShapeError : if a goal is not a finite pose (the message states its index), or if `q0`, `axis` or `posture` has the
+        wrong shape.
     UnknownName : if `task` or `objective` is unknown.
     RobotError : if `robot` is not a `Robot`.
     ConfigError : if `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of range, or `posture` is given
@@ -123,27 +123,27 @@ def inverse(
 
 @dataclass(frozen=True, eq=False)
 class IkSolution:
-    """Joint positions for one goal or a batch of goals; arrays are read-only, scalars for one goal.
+    """Joint positions for one goal or a batch of goals; arrays are read-only, and scalars for a single goal.
 
     Attributes
     ----------
     q : (..., n) joint positions, always within the limits; if unsolved, the posture with the smallest error.
     success : (...) whether the errors are within the tolerance.
     position_error : (...) distance from tool point to goal [m]; NaN for the task "direction".
-    rotation_error : (...) angle of the tool or its axis to the goal [rad]; NaN for the task "position".
+    rotation_error : (...) angle from the tool or its axis to the goal [rad]; NaN for the task "position".
     iterations : (...) total number of iterations over all starts.
     starts : (...) number of starts used.
     reason : (...) "solved", or the cause of failure:
-        "out of reach": the goal is further from the first joint than the total length of the links, or every
-        start, even without the limits of revolute joints, ended in a posture where no joint reduces the error;
+        "out of reach": the distance from the first joint to the goal exceeds the total length of the links, or every
+        start, even without the limits of revolute joints, ended at a posture where no joint reduces the error;
         "limits": only postures outside the limits reach the goal;
         "singular": an error below 1e-4 rad remains near a singular posture after second-order steps, or the only start
         ended at a singular posture; `position_error` and `rotation_error` give the remaining error;
         "iterations": the error was still falling at the iteration limit.
-    slope : (...) norm of the objective gradient along the self-motion of the joints inside their limits; NaN without
-        an objective or a solution.
+    slope : (...) norm of the objective gradient along the self-motion of the joints that are not at a limit; NaN
+        without an objective or a solution.
     history : (..., maxiter + 1, 2) smallest errors so far [m, rad] after each step of the descent that produced `q`
-        (the continued best start if all starts failed), then NaN; None without `history`.
+        (the continued best start if all starts failed), then NaN; None if not recorded.
     """
 
     q: np.ndarray
@@ -157,13 +157,13 @@ class IkSolution:
     history: np.ndarray | None
 
     def report(self) -> str:
-        """Return one sentence with the number of solved goals and their errors, or the causes of failure."""
+        """Return a sentence with the number of solved goals, their errors and the causes of failures."""
         if np.ndim(self.success) == 0:
             return self._one()
         count, solved = np.size(self.success), int(np.sum(self.success))
         text = f"{solved} of {count} goals solved"
         if solved:
-            text += f", to {_errors(self.position_error[self.success], self.rotation_error[self.success])}"
+            text += f" to within {_errors(self.position_error[self.success], self.rotation_error[self.success])}"
         if solved < count:
             first = np.unravel_index(int(np.argmin(self.success)), np.shape(self.success))
             names, numbers = np.unique(np.asarray(self.reason)[~np.asarray(self.success)], return_counts=True)
@@ -175,9 +175,9 @@ class IkSolution:
         errors = _errors(np.asarray(self.position_error), np.asarray(self.rotation_error))
         spent = f"{self.iterations} iterations from {self.starts} start{'s' if self.starts > 1 else ''}"
         if self.success:
-            return f"Solved to {errors} in {spent}."
+            return f"Solved to within {errors} in {spent}."
         reason = str(self.reason)
-        return f"Not solved ({reason}: {_EXPLANATIONS[reason]}); the best posture is off by {errors} after {spent}."
+        return f"Not solved ({reason}: {_EXPLANATIONS[reason]}); the best posture has errors of {errors} after {spent}."
 
     def __repr__(self) -> str:
         return f"IkSolution({self.report()})"

@@ -1,4 +1,4 @@
-"""Inverse kinematics along a path of poses on one branch; redundant arms make detours around breaks."""
+"""Inverse kinematics along a path of poses on one branch, with detours of redundant arms around breaks."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from armlab.kinematics.inverse import REASONS, ROWS, Objective, Task, check_sear
 from armlab.robots import Robot
 
 _TEXTS = np.array(["jump" if reason == "bound" else reason for reason in REASONS])
-ATTEMPTS = 10  # number of breaks per path for which detours are tried
-CANDIDATES = 32  # number of starts at a break: half near the previous row, half anywhere
+ATTEMPTS = 10  # maximum number of breaks per path for which detours are tried
+CANDIDATES = 32  # starts at a break: half near the previous row, half anywhere
 SPREAD = 0.6  # standard deviation of the starts near the previous row [rad]
-LOOK_BACK, LOOK_AHEAD = 1000, 1000  # numbers of rows
+LOOK_BACK, LOOK_AHEAD = 1000, 1000  # maximum number of rows before and after a break
 NEAR = 1  # kernel objective "posture"
-TOGETHER = 1e-6  # distance below which postures are equal [rad]
+TOGETHER = 1e-6  # distance below which postures are considered equal [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,16 +31,16 @@ class IkPath:
     Attributes
     ----------
     q : (N, n) joint positions, always within the limits.
-    success : (N,) whether the pose is reached with a step of at most `max_step`. A path can be executed if all rows
-        succeed.
+    success : (N,) whether the pose is reached with a step of at most `max_step`. A path is executable if all rows are
+        successful.
     position_error : (N,) distance from tool point to goal [m]; NaN for the task "direction".
-    rotation_error : (N,) angle of the tool or its axis to the goal [rad]; NaN for the task "position".
+    rotation_error : (N,) angle from the tool or its axis to the goal [rad]; NaN for the task "position".
     reason : (N,) "solved", or why the path breaks at this row. If the errors are within the tolerance, the path
-        continues from `q`; otherwise `q` is the posture with the smallest error.
-        "out of reach": the pose is further from the first joint than the total length of the links;
+        continues from `q`; otherwise, `q` is the posture with the smallest error.
+        "out of reach": the distance from the first joint to the pose exceeds the total length of the links;
         "limits": a joint is at its limit;
         "singular": no joint reduces the error;
-        "jump": the pose is reached on this branch, but with a step from the previous row above `max_step`;
+        "jump": the pose is reached on this branch, but the step from the previous row exceeds `max_step`;
         "iterations": the error was still falling at the iteration limit.
     branch_changes : (k,) indices of the rows at which the path breaks and continues on a different branch.
     iterations : (N,) number of descent iterations.
@@ -58,7 +58,7 @@ class IkPath:
         make_read_only(self, *vars(self))
 
     def report(self) -> str:
-        """Return one sentence that states how much of the path is reached and why it breaks."""
+        """Return a sentence that states how much of the path is reached and why it breaks."""
         count, breaks = len(self.q), np.flatnonzero(~self.success)
         if not len(breaks):
             return f"All {count} poses reached on one branch."
@@ -91,27 +91,26 @@ def inverse_path(
     damping: float = 0.1,
     strict: bool = False,
 ) -> IkPath:
-    """Return joint positions that move the tool through poses on one branch.
+    """Return joint positions that move the tool through a sequence of poses on one branch.
 
-    Every pose is solved as in `inverse`, starting from the previous row and its last step. Joints therefore stay on
-    their branch and keep their direction of motion through singular postures. Near singular postures, damping and the
-    step limit bound the joint motion; random starts around the previous row help if the descent stalls. If the path
-    breaks, the row states the reason. The path then continues on the same branch, or on a different branch from a row
-    listed in `IkPath.branch_changes`.
+    Every pose is solved as in `inverse`, starting from the previous row plus its last step. The arm therefore stays on
+    its branch, and keeps its direction of motion through singular postures. Near singular postures, damping and the
+    step limit bound the joint motion; if the descent stalls, it restarts from random postures around the previous row.
+    If the path breaks, `reason` states why. The path then continues on the same branch, or on a different branch from
+    the rows listed in `IkPath.branch_changes`.
 
     Parameters
     ----------
     robot : the arm.
-    T_base_tool : (N, 4, 4) consecutive poses of the tool in the base.
+    T_base_tool : (N, 4, 4) consecutive tool poses in the base frame.
     q0 : (n,) posture near the first row [rad or m]; default: the home posture or a random posture.
-    max_step : largest joint step between rows [rad or m], one number or (n,), for example the speed limit times the
-        period. Default: 0.05 rad plus five times the length of the pose step [rad], with
-        positions scaled as in `inverse`.
+    max_step : largest joint step between rows [rad or m], one number or (n,), for example speed limit times period.
+        Default: 0.05 rad plus five times the length of the pose step [rad], with positions scaled as in `inverse`.
     objective, posture : as in `inverse`, for every row. Default: minimise the motion between rows; a closed path may
-        then end in a posture that differs from the start. With an objective, each row depends only on its pose if the
-        minimum does not jump, so a closed path is also closed in joint space.
+        then end in a posture that differs from the start. With an objective, each row depends only on its pose unless
+        the minimum jumps, so a closed path is also closed in joint space.
     task, axis, tol, maxiter, starts, damping : as in `inverse`; `starts` applies to the search for a new branch.
-    strict : raise an exception if the path breaks.
+    strict : whether to raise an exception if the path breaks.
 
     Returns
     -------
@@ -119,7 +118,7 @@ def inverse_path(
 
     Raises
     ------
-    ShapeError : if the poses are not (N, 4, 4), valid and finite, or if an argument has the wrong shape.
+    ShapeError : if the poses are not valid, finite and of shape (N, 4, 4), or if an argument has the wrong shape.
     UnknownName, RobotError, ConfigError : as in `inverse`.
     NotConverged : with `strict`, if the path breaks; `best` is the `IkPath`.
     """
@@ -170,7 +169,7 @@ def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | No
 
 
 class Rows(NamedTuple):
-    """Kernel result: postures (N, n), errors (N, 3), counts (N, 3) (steps, status, other branch)."""
+    """Kernel result: postures (N, n), errors (N, 3), and counts (N, 3) of steps, status and other branch."""
 
     q: np.ndarray
     errors: np.ndarray
@@ -184,9 +183,9 @@ Solve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve: Solve) -> Rows:
-    """Return `rows` with detours around breaks if these reduce the number of broken rows."""
+    """Return `rows` with detours around breaks, if detours reduce the number of broken rows."""
     rng = np.random.default_rng(0)
-    given_up = 0  # breaks up to this row are final
+    given_up = 0  # no detours are tried for breaks up to this row
     best = rows
     for _ in range(ATTEMPTS):
         broken = rows.counts[:, 1] != 0
@@ -207,7 +206,7 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
-    """Return the detour, from the row where it leaves the path to row k, that continues furthest beyond row k."""
+    """Return the detour, from where it leaves the path up to row k, that continues furthest beyond row k."""
     best, furthest, seen = None, -1, []
     before = slice(k - 1, max(0, k - LOOK_BACK) - 1 if k > LOOK_BACK else None, -1)
     for q in solutions[0][solutions[1]]:

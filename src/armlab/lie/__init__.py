@@ -1,4 +1,4 @@
-"""Lie groups of rigid motion, as functions on arrays with any leading axes."""
+"""Lie groups SO(3) and SE(3), Euler angles and quaternions, as functions on arrays with any leading axes."""
 
 from armlab.lie import euler, quaternion, se3, so3
 

@@ -1,4 +1,4 @@
-"""Argument checks for functions that are not compiled. NaN is accepted, so missing values remain missing."""
+"""Argument checks for functions without a compiled kernel. NaN is accepted, so missing values remain missing."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
         result = None
     if result is None or not np.can_cast(result.dtype, np.float64, "safe"):
         raise ShapeError(
-            f"Expected {name} to be an array of real numbers, got {type(value).__name__} that does not convert to "
-            "float64. Pass a NumPy array or nested lists of equal length."
+            f"Expected {name} to be an array of real numbers, got {type(value).__name__} that cannot be converted "
+            "to float64. Pass a NumPy array or nested lists of equal length."
         )
     if result.shape[max(result.ndim - len(tail), 0) :] != tail:
         raise ShapeError(f"Expected {name} of shape ({', '.join(['...', *map(str, tail)])}), got {result.shape}.")
@@ -27,7 +27,7 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 
 
 def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
-    """Raise unless the leading axes of the arguments broadcast; each comes with the number of axes of one element."""
+    """Raise unless the leading axes of the arguments broadcast; each is (array, number of axes of one element)."""
     try:
         np.broadcast_shapes(*(value.shape[: value.ndim - axes] for value, axes in arguments.values()))
     except ValueError:
@@ -36,7 +36,7 @@ def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
 
 
 def tolerance(value: float) -> float:
-    """Return a tolerance; raise unless it is one number >= 0."""
+    """Return a tolerance as float; raise unless it is a single number >= 0."""
     number = array(value, (), "tolerance")
     if number.ndim or not number >= 0.0:
         raise ShapeError(f"Expected a tolerance >= 0, got {value!r}. The default is 1e-5.")

@@ -1,4 +1,4 @@
-"""Roll, pitch and yaw in the conventions zyx (ABB), xyz (Nikon) and zyz, and rotations about one axis.
+"""Roll, pitch and yaw in the conventions zyx (ABB), xyz (Nikon) and zyz, and rotations about a single axis.
 
 For angles (r, p, y), a convention lists the axes in the order of the product: zyx is ``Rz(r) Ry(p) Rx(y)``.
 """
@@ -52,7 +52,7 @@ def rot_z(angle: ArrayLike) -> np.ndarray:
 
 
 def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation (..., 3, 3) about the axes of the convention: ``R_1(r) R_2(p) R_3(y)``.
+    """Return the rotation (..., 3, 3) with the given angles about the axes of a convention: ``R_1(r) R_2(p) R_3(y)``.
 
     Parameters
     ----------
@@ -68,11 +68,10 @@ def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = No
 
 
 def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the angles (..., 3) [rad] with ``from_rpy(to_rpy(R, c), c) = R``.
+    """Return the angles (..., 3) [rad] of a rotation: ``from_rpy(to_rpy(R, c), c) = R``.
 
-    The middle angle is in [-π/2, π/2] for zyx and xyz, and in [0, π] for zyz. If the first and the last axis are
-    parallel (gimbal lock), only their sum or difference is determined. The first angle is then 0, and the last angle is
-    the sum or difference.
+    The middle angle is in [-π/2, π/2] for zyx and xyz, and in [0, π] for zyz. If the first and last axes are parallel
+    (gimbal lock), only the sum or difference of the first and last angles is determined. The first angle is then 0.
 
     Parameters
     ----------

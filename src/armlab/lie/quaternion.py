@@ -1,6 +1,6 @@
 """Unit quaternions wxyz as arrays (..., 4).
 
-q and -q represent the same rotation. Every function accepts and preserves any leading axes. NaN inputs give NaN
+q and -q represent the same rotation. All functions accept any leading axes and preserve them. NaN inputs give NaN
 results.
 """
 
@@ -16,7 +16,7 @@ from armlab.lie import arguments
 __all__ = ["conjugate", "continuous", "from_matrix", "multiply", "slerp", "to_matrix"]
 
 UNIT_TOLERANCE = 1e-3
-"""Largest error of a quaternion's norm that is removed by normalisation; three decimals are sufficient."""
+"""Largest norm error that normalisation removes; accepts quaternions rounded to three decimals."""
 
 
 def from_matrix(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
@@ -33,8 +33,9 @@ def from_matrix(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     ------
     ShapeError : R is not a rotation within `so3.ROTATION_TOLERANCE`.
 
-    Reference: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978, which
-    divides by the largest component.
+    The algorithm divides by the largest component.
+
+    Reference: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978.
     """
     return kernels.quaternion_from_matrix(R, out)
 
@@ -78,7 +79,7 @@ def conjugate(quaternion: ArrayLike) -> np.ndarray:
 def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Interpolate from a to b along the shorter arc at constant speed: ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``.
 
-    Return unit quaternions (..., 4) in the hemisphere of a.
+    The results are unit quaternions (..., 4) in the hemisphere of a.
 
     Parameters
     ----------
@@ -96,10 +97,10 @@ def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = Non
 
 
 def continuous(quaternion: ArrayLike) -> np.ndarray:
-    """Choose the signs along axis 0 so that consecutive quaternions are in one hemisphere: ``q[k] · q[k-1] ≥ 0``.
+    """Choose signs along axis 0 so that consecutive quaternions are in the same hemisphere: ``q[k] · q[k-1] ≥ 0``.
 
-    The result has the shape of the input. The first quaternion keeps its sign. Missing samples (NaN) remain missing;
-    the next sample follows the last valid sample.
+    The result has the shape of the input. The first quaternion keeps its sign. Missing samples (NaN) remain missing,
+    and the next sample is compared with the last valid sample.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Poses SE(3) as arrays (..., 4, 4) and twists [v; w] (..., 6).
 
-Every function accepts and preserves any leading axes. NaN inputs give NaN results.
+All functions accept any leading axes and preserve them. NaN inputs give NaN results.
 """
 
 from __future__ import annotations
@@ -69,26 +69,26 @@ def vee(X: ArrayLike) -> np.ndarray:
     X = arguments.array(X, (4, 4), "X")
     if (X[..., 3, :] != 0).any():
         raise ShapeError(
-            f"Expected a twist matrix with last row zero, got {X[..., 3, :].max():.3g}. Use log for a pose."
+            f"Expected a twist matrix with zeros in the last row, got {X[..., 3, :].max():.3g}. Use log for a pose."
         )
     return np.concatenate([X[..., :3, 3], so3.vee(X[..., :3, :3])], axis=-1)
 
 
 def exp(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the pose (..., 4, 4) after one unit of time at a twist: ``[[exp(w), V v], [0, 1]]``.
+    """Return the pose (..., 4, 4) reached in unit time at a constant twist: ``[[exp(w), V v], [0, 1]]``.
 
     V is ``so3.left_jacobian(w)``.
 
     Parameters
     ----------
-    xi : (..., 6) twist [v; w]; w = 0 is a pure translation.
+    xi : (..., 6) twist [v; w]; w = 0 gives a pure translation.
     out : (..., 4, 4) array for the result; default: newly allocated.
     """
     return kernels.se3_exp(xi, out)
 
 
 def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the twist [v; w] (..., 6) with the smallest rotation: ``exp(log(T)) = T``, abs(w) ≤ π.
+    """Return the twist [v; w] (..., 6) of a pose with the smallest rotation: ``exp(log(T)) = T``, abs(w) ≤ π.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def inv(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 def ad(xi: ArrayLike) -> np.ndarray:
     """Return the matrix (..., 6, 6) of the Lie bracket: ``hat(ad(xi) eta) = hat(xi) hat(eta) - hat(eta) hat(xi)``.
 
-    It is ``[[hat(w), hat(v)], [0, hat(w)]]``, the derivative of `adjoint`: ``expm(ad(xi)) = adjoint(exp(xi))``. Its
-    negative transpose acts on wrenches.
+    The matrix ``[[hat(w), hat(v)], [0, hat(w)]]`` is the derivative of `adjoint`: ``expm(ad(xi)) = adjoint(exp(xi))``.
+    Its negative transpose acts on wrenches.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def ad(xi: ArrayLike) -> np.ndarray:
 def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the matrix Ad (..., 6, 6) with ``twist_a = Ad twist_b`` for twists [v; w]: ``[[R, hat(p) R], [0, R]]``.
 
-    It satisfies ``hat(Ad xi) = T hat(xi) T⁻¹``.
+    Equivalently, ``hat(Ad xi) = T hat(xi) T⁻¹``.
 
     Parameters
     ----------
@@ -166,10 +166,10 @@ def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
 
 
 def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return a wrench [f; m] (..., 6) in another frame: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``.
+    """Transform a wrench [f; m] (..., 6) from frame b to frame a: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``.
 
-    Axes and moment point change together: the moment of `wrench_b` is about the origin of b, and the moment of the
-    result is about the origin of a. Power is invariant; the result equals ``adjoint(T_b_a)ᵀ wrench_b``.
+    Both the axes and the reference point of the moment change: the moment of `wrench_b` is about the origin of b, and
+    that of the result is about the origin of a. The result equals ``adjoint(T_b_a)ᵀ wrench_b``, so power is invariant.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarr
 
 
 def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
-    """Return poses with rounded rotations orthonormalised (`so3.orthonormalise`) and unchanged positions.
+    """Orthonormalise the rounded rotations of poses (`so3.orthonormalise`); positions are unchanged.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> n
 
 
 def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose with the nearest rotation and the same position, and its distance from the matrix.
+    """Return the pose with the same position and the nearest rotation, and its distance from the matrix.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     M = arguments.array(M, (4, 4), "M")
     off = np.abs(M[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
     missing = np.isnan(M[..., :3, :]).any(axis=(-1, -2))
-    bad = (off > 0) | (np.isnan(off) & ~missing)  # a pose with NaN only in its last row must not pass
+    bad = (off > 0) | (np.isnan(off) & ~missing)  # reject NaN that is only in the last row
     if bad.any():
         raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of M, got an error of {off[bad].max():.3g}.")
     R, distance = so3.project(M[..., :3, :3])
@@ -274,9 +274,9 @@ def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
 
 
 def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
-    """Return [v; w] of a twist [w; v], or [f; m] of a wrench [m; f], in the shape of the input.
+    """Reorder twists [w; v] to [v; w], or wrenches [m; f] to [f; m]; the shape is unchanged.
 
-    Use this function for data from a library that puts the angular part first.
+    Use this function for data from libraries that put the angular part first.
 
     Parameters
     ----------
@@ -295,9 +295,9 @@ def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 
 
 def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
-    """Return [w; v] of a twist [v; w], or [m; f] of a wrench [f; m]; inverse of `from_angular_first`.
+    """Reorder twists [v; w] to [w; v], or wrenches [f; m] to [m; f]; inverse of `from_angular_first`.
 
-    Use this function for a library that puts the angular part first. The result has the shape of the input.
+    Use this function for libraries that put the angular part first. The shape is unchanged.
 
     Parameters
     ----------
@@ -324,10 +324,10 @@ def interpolate(
     path: Literal["linear", "screw"] = "linear",
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Interpolate from a to b, with the position along a line and the rotation about one axis, at constant speed.
+    """Interpolate from a to b at constant speed, with the position along a line and the rotation about a fixed axis.
 
-    Return poses (..., 4, 4) with exact ends. The alternative screw path ``T_a exp(s log(T_a⁻¹ T_b))`` does not depend
-    on the reference point of the body, which moves along a helix.
+    The poses (..., 4, 4) are exact at both ends. The alternative screw path ``T_a exp(s log(T_a⁻¹ T_b))`` does not
+    depend on the choice of reference point on the body; the point moves along a helix.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def mean(
 ) -> np.ndarray:
     """Return the mean pose (..., 4, 4) along axis 0: the mean position and `so3.mean` of the rotations.
 
-    The result depends on the origin of the moving frame, because its positions are averaged.
+    The result depends on the origin of the moving frame, because positions of this origin are averaged.
 
     Parameters
     ----------

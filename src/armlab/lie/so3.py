@@ -1,6 +1,6 @@
 """Rotations SO(3) as arrays (..., 3, 3) and rotation vectors w (..., 3) [rad].
 
-Every function accepts and preserves any leading axes. NaN inputs give NaN results.
+All functions accept any leading axes and preserve them. NaN inputs give NaN results.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ __all__ = [
 ]  # fmt: skip
 
 ROTATION_TOLERANCE = arguments.ROTATION_TOLERANCE
-"""Largest entry of |RᵀR - I| accepted as a rotation; matrices with six decimals are off by up to 2e-6.
+"""Largest accepted entry of |RᵀR - I| of a rotation; rounding to six decimals causes errors of up to 2e-6.
 
-For larger errors, use `project`.
+Use `project` for larger errors.
 """
 SKEW_TOLERANCE = 1e-9
 ONE_NEAREST = 1e-9
 NEGLIGIBLE = 1e-9  # largest entry of |RᵀR - I| for which a rotation is left unchanged
 
-UNDEFINED = 1e-13  # length below which a direction is lost in rounding
+UNDEFINED = 1e-13  # length below which a direction is lost to rounding
 
 METHODS = ("chordal", "geodesic")
-AGREEMENT = 0.1  # fraction of the weights below which the rotations are too scattered for a mean
+AGREEMENT = 0.1  # smallest σ₂ + d σ₃ of the mean matrix; below it, the rotations are too scattered for a mean
 ITERATIONS = 30
-CLOSE = 1e-9  # rad: a Newton step of this size leaves an error of the order of its square
+CLOSE = 1e-9  # rad; the error after a Newton step of this size is of the order of its square
 
 
 def hat(w: ArrayLike) -> np.ndarray:
@@ -101,8 +101,8 @@ def exp(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the rotation vector (..., 3) [rad] of minimum length: ``exp(log(R)) = R``, abs(log(R)) ≤ π.
 
-    It is computed via the quaternion (w, v): ``2 atan2(abs(v), w) v/abs(v)``, which preserves full precision from
-    1e-300 rad to a half turn. At a half turn, the first non-zero component is positive.
+    Computing it from the quaternion (w, v), ``2 atan2(abs(v), w) v/abs(v)``, preserves full precision from 1e-300 rad
+    to a half turn. At a half turn, the first non-zero component is positive.
 
     Parameters
     ----------
@@ -137,9 +137,9 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
 
 
 def orthonormalise(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarray:
-    """Project rounded rotations onto exact rotations; return all other matrices unchanged.
+    """Project rounded rotations onto SO(3).
 
-    Matrices that are orthonormal to 1e-9 are left unchanged. `is_rotation` detects matrices that are not rotations.
+    Matrices that are orthonormal to 1e-9 and matrices that are not rotations (see `is_rotation`) are left unchanged.
 
     Parameters
     ----------
@@ -168,12 +168,13 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    R : (..., 3, 3) the minimiser of the Frobenius norm of ``R - M``.
-    distance : (...) the minimum of this norm.
+    R : (..., 3, 3) rotation that minimises the Frobenius norm of ``R - M``.
+    distance : (...) minimum of this norm.
 
     Raises
     ------
-    ShapeError : an infinite entry, or the nearest rotation is not unique (rank below 2, or a reflection of equal axes).
+    ShapeError : an infinite entry, or the nearest rotation is not unique (the two smallest singular values are both 0,
+        or are equal and the determinant is negative).
     """
     M = arguments.array(M, (3, 3), "M")
     R, sigma = nearest(M)
@@ -200,7 +201,7 @@ def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     sigma[..., 2] *= d
     R = U @ Vt
     R = R @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(R, -1, -2) @ R)
-    # A Newton step removes the rounding of the SVD: (tr S I - S) w = vee(A - A^T), A = R^T M, S = sym A.
+    # A Newton step removes the rounding error of the SVD: (tr S I - S) w = vee(A - A^T), A = R^T M, S = sym A.
     A = np.swapaxes(R, -1, -2) @ M
     H = np.trace(A, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - (A + np.swapaxes(A, -1, -2)) / 2
     off = np.stack([A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], axis=-1)
@@ -235,9 +236,9 @@ def left_jacobian_inv(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray
 
 
 def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Interpolate from a to b about one axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))`` (..., 3, 3).
+    """Interpolate from a to b about a fixed axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))`` (..., 3, 3).
 
-    Both ends are exact. In between, the result equals `quaternion.slerp`; other values of s extrapolate.
+    Both ends are exact, and the result is equivalent to `quaternion.slerp`. Values of s outside [0, 1] extrapolate.
 
     Parameters
     ----------
@@ -269,7 +270,7 @@ def angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
     """Return the heading of b in a: the angle of b's x axis in a's xy plane, ``atan2(R_10, R_00)`` of ``R_aᵀ R_b``.
 
-    The result (...) is in (-π, π] [rad], positive about a's z axis, and NaN if b's x axis is parallel to it.
+    The result (...) is in (-π, π] [rad], positive about a's z axis, and NaN if this axis is parallel to b's x axis.
 
     Parameters
     ----------
@@ -288,9 +289,9 @@ def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
     """Return the rotation angle of b relative to a about an axis: ``2 atan2(axis · v, w)`` of ``R_aᵀ R_b``.
 
-    This is the twist; the remainder is a rotation about a perpendicular axis (swing-twist decomposition). For a pure
+    This is the twist of the swing-twist decomposition; the swing is a rotation about a perpendicular axis. For a pure
     rotation about z, the result equals `xy_angle`. The result (...) is in (-π, π] [rad], positive about the axis, and
-    NaN if the swing is a half turn, which leaves the twist undefined.
+    NaN if the swing is a half turn, because the twist is then undefined.
 
     Parameters
     ----------
@@ -366,7 +367,7 @@ def _length(v: np.ndarray) -> np.ndarray:
 
 
 def _turn(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return atan2 (...), or NaN if both arguments are lost in rounding."""
+    """Return atan2 (...), or NaN if both arguments are lost to rounding."""
     return np.where(np.hypot(sine, cosine) < UNDEFINED, np.nan, np.arctan2(sine, cosine))[()]
 
 
@@ -375,9 +376,9 @@ def mean(
 ) -> np.ndarray:
     """Return the mean (..., 3, 3) of rotations along axis 0; NaN if a rotation with non-zero weight is missing.
 
-    The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius): it is the rotation nearest to the mean matrix.
-    The geodesic mean minimises ``Σ weight angle(mean, R)²``, and is found by Newton steps from the chordal mean. They
-    are equal for rotations distributed symmetrically about the mean, and nearly equal for a narrow spread.
+    The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius norm): it is the rotation nearest to the mean
+    matrix. The geodesic mean minimises ``Σ weight angle(mean, R)²`` and is found by Newton steps from the chordal mean.
+    The two are equal for rotations distributed symmetrically about the mean, and nearly equal for a narrow spread.
 
     Parameters
     ----------
@@ -387,8 +388,8 @@ def mean(
 
     Raises
     ------
-    ShapeError : an argument is not a rotation, the weights have the wrong shape, or the mean is undefined: with the
-        singular values ``σ`` of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
+    ShapeError : an argument is not a rotation, the weights are invalid, or the mean is undefined: ``σ₂ + d σ₃ < 0.1``
+        with the singular values ``σ`` of the mean matrix and the sign d of its determinant.
     NotConverged : the geodesic mean is not unique (rotations are approximately half a turn apart).
     UnknownName : unknown method.
 
@@ -409,7 +410,7 @@ def mean(
 
 
 def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
-    """Return weights (N, ...), normalised along axis 0, for elements with these leading axes."""
+    """Return weights (N, ...), normalised along axis 0, for a batch with these leading axes."""
     if not batch or batch[0] == 0:
         raise ShapeError(f"Expected at least one element along axis 0 for a mean, got leading axes {batch}.")
     if weights is None:
@@ -422,13 +423,14 @@ def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
     total = weights.sum(axis=0)
     if (weights < 0).any() or not ((total > 0) & (total < np.inf)).all():
         raise ShapeError(
-            "Expected finite weights >= 0 with a positive sum, got invalid weights. Use 0 to exclude an element."
+            "Expected finite weights >= 0 with a positive sum, got a negative or non-finite weight, or only zeros. "
+            "Use 0 to exclude an element."
         )
     return weights / total
 
 
 def _geodesic(R: np.ndarray, share: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Apply Newton's method; the Hessian of angle²/2 is the symmetric part of the inverse left Jacobian."""
+    """Refine a mean by Newton's method; the Hessian of angle²/2 is the symmetric part of the inverse left Jacobian."""
     for _ in range(ITERATIONS):
         w = kernels.so3_log(np.swapaxes(mean, -1, -2) @ R)
         gradient = (share[..., None] * w).sum(axis=0)

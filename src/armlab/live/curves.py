@@ -1,4 +1,4 @@
-"""Curves and text of an arm in the panel: the last seconds of a stream, or a whole run with a cursor."""
+"""Curves and text of an arm in the panel, for the last seconds of a stream or a whole run with a cursor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armlab.robots import Robot
 
 
 class RingBuffer:
-    """Samples of the last seconds before the newest sample."""
+    """Samples of the last few seconds up to the newest sample."""
 
     def __init__(self, width: int, seconds: float) -> None:
         self._width, self._seconds = width, seconds
@@ -52,7 +52,7 @@ class RingBuffer:
         self._rows.clear()
 
 
-_STRETCHES = 200  # segments of a plot about 400 pixels wide, each drawn as its minimum and maximum
+_STRETCHES = 200  # segments per plot (about 400 pixels wide), each drawn as its minimum and maximum
 _CURSOR = "#000000"
 _BAND = "33"  # opacity of a band, as two hexadecimal digits
 
@@ -60,8 +60,8 @@ _BAND = "33"  # opacity of a band, as two hexadecimal digits
 def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> tuple[np.ndarray, np.ndarray]:
     """Return the times (M,), and the minima and maxima (M, k) of segments of samples (N, k) at increasing times (N,).
 
-    Spikes thus remain visible in a plot. Segments begin at integer multiples of their length, so that a sliding window
-    does not flicker. Few samples are returned unchanged. Segments without finite values are NaN.
+    Spikes thus remain visible in a plot. Segments begin at integer multiples of their length, so a sliding window does
+    not flicker. Short series are returned unchanged. Segments without finite values are NaN.
     """
     if len(t) <= 2 * stretches:
         return t, values
@@ -139,7 +139,7 @@ class Curves:
             half = np.full_like(values, np.nan) if half is None else numbers(half, "bands", ShapeError)
             if half.shape != values.shape:
                 raise ShapeError(f"Expected bands of shape {values.shape}, got {half.shape}.")
-            half = np.nan_to_num(half)  # for NaN, uPlot would draw a wedge to the next finite value
+            half = np.nan_to_num(half)  # uPlot would draw NaN as a wedge to the next finite value
             columns = np.concatenate([values, np.stack([values + half, values - half], axis=2).reshape(len(t), -1)], 1)
         elif half is not None:
             raise ShapeError("Expected no bands for these curves, got half-widths. Create the plot with band=True.")
@@ -149,11 +149,11 @@ class Curves:
             t, columns = self._marked(t, columns, at)
         if len(t):
             t, *columns = np.ascontiguousarray(np.column_stack([t, columns]).T)
-            # a list, because viser takes 0.3 ms to check the member types of a tuple
+            # a list, because viser takes 0.3 ms to check the item types of a tuple
             self._plot.data = [t, *_interrupted(columns[:drawn]), *columns[drawn:]]
 
     def _marked(self, t: np.ndarray, columns: np.ndarray, at: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Add the column of the cursor, and two rows at its time for the lower and upper end of the scale."""
+        """Add a column for the cursor, and two rows at its time for the lower and upper ends of the scale."""
         columns = np.column_stack([columns, np.full(len(t), np.nan)])
         if at is None or not len(t):
             return t, columns
@@ -170,7 +170,7 @@ class Curves:
 
 
 def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
-    """Return the columns with null instead of NaN, because uPlot draws a line across NaN but leaves a gap at null."""
+    """Return the columns with null instead of NaN, because uPlot connects points across NaN but leaves gaps at null."""
     found: list[Any] = []
     missing = np.isnan(columns)
     count = missing.sum(axis=1)
@@ -185,7 +185,7 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
 
 
 class Window:
-    """Plot of the last seconds of a stream. `rate`: largest number of updates per second of the stream's clock."""
+    """Plot of the last few seconds of a stream. `rate`: maximum updates per second of stream time."""
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate
@@ -193,7 +193,7 @@ class Window:
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
-        """Add a sample (k,) at time t [s] for the next `draw`; a time that does not increase clears the window."""
+        """Add a sample (k,) at time t [s] for the next `draw`; a non-increasing time clears the window."""
         if t <= self._recent.last:
             self._recent.clear()
             self._drawn = -np.inf
@@ -204,7 +204,7 @@ class Window:
         self._recent.add(t, np.concatenate([values, half]))
 
     def draw(self) -> None:
-        """Update the plot, unless the last update was less than an update period ago."""
+        """Update the plot if at least one update period has passed since the last update."""
         recent = self._recent
         if not len(recent) or recent.last - self._drawn < self._period:
             return
@@ -236,7 +236,7 @@ class Lines(Markup):
 
 
 class ArmPanel:
-    """Text and plots of an arm in the current folder or tab. `limits`: limits of the y axis, by plot name."""
+    """Text and plots of an arm in the current GUI folder or tab. `limits`: limits of the y axis, by plot name."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}

@@ -25,14 +25,14 @@ from armlab.robots.robot import arm_length
 if TYPE_CHECKING:
     from viser import ViserServer
 
-_MOST = 1000  # largest number of robots
-_INBOX = 20_000  # queued messages: ten seconds from fifty robots; the oldest are dropped first
-_SILENT = 2.0  # s of listening without a row after which a robot counts as silent
-_LATE = 0.1  # s; longer overruns of a wait do not count as listening, because the process may have been suspended
+_MOST = 1000  # maximum number of robots
+_INBOX = 20_000  # queued messages: ten seconds from fifty robots; the oldest messages are dropped first
+_SILENT = 2.0  # s of listening time without a row, after which a robot counts as silent
+_LATE = 0.1  # s; if a wait overruns by more, the process may have been suspended: this does not count as listening time
 
 
 class SeenRobot:
-    """State of a robot. Values are None, NaN or 0 until its bridge sends them. Not thread-safe."""
+    """State of a robot; values are None, NaN or 0 until received from its bridge. Not thread-safe."""
 
     name: str
     wants: bool
@@ -55,7 +55,7 @@ class SeenRobot:
         self._quiet = math.inf  # s of listening since the newest row
 
     def live(self, is_alive: bool) -> None:
-        """Process the appearance or disappearance of the bridge; a bridge that reappears may have restarted."""
+        """Process the appearance or disappearance of the bridge, which may restart in between."""
         self.is_alive: bool = is_alive
         self.wants = True
         self._quiet = math.inf
@@ -72,11 +72,11 @@ class SeenRobot:
                 self.row = read_row(self._schema, data)
 
     def listened(self, seconds: float) -> None:
-        """Add listening time; to be called before the rows received during this time are processed."""
+        """Add listening time; call this before processing the rows received in that time."""
         self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
-        """Process the description of the bridge; an invalid description is counted and requested again."""
+        """Process the description from the bridge; count an invalid description and request it again."""
         try:
             said = read_about(about)
             robot, text = said.robots[self._arm], said.messages[0]["robots"][self._arm]
@@ -105,7 +105,7 @@ class SeenRobot:
 
     @property
     def age(self) -> float:
-        """Age of the newest row [s] according to the clocks of both computers; NaN without rows."""
+        """Age of the newest row [s], from the clocks of both computers; NaN without rows."""
         return math.nan if self.row is None else 1e-9 * (time.time_ns() - self.row.wall_ns)
 
     @property
@@ -115,7 +115,7 @@ class SeenRobot:
 
 
 class FleetRows:
-    """Newest rows of all robots at a router, keyed by lab/robot, at most thirty per second; absent robots are kept."""
+    """Newest rows of all robots at a router, keyed by lab/robot, at most thirty per second; includes absent robots."""
 
     place: LabAddress
     robots: dict[str, SeenRobot]
@@ -187,7 +187,7 @@ def watch_fleet(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show all robots at a router in the browser until `over` is true or Ctrl-C is pressed. Report state changes."""
+    """Show all robots at a router in the browser until `over` is true or Ctrl-C is pressed; report state changes."""
     rows = FleetRows(place)
     try:
         server = start(port)
@@ -214,7 +214,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame. A silent or absent robot is shown only by its name."""
+    """Scene and panel of all robots, drawn frame by frame. For a silent or absent robot, only the name is shown."""
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
@@ -242,7 +242,7 @@ class FleetView:
                 self._say()
 
     def _add(self, one: SeenRobot) -> None:
-        """Add a robot, or redraw it after its description has changed."""
+        """Add a robot, or redraw it after a change of its description."""
         if (robot := one.robot) is None:
             return
         if self._scene is None:
@@ -295,7 +295,7 @@ class FleetView:
 
 
 def _words(one: SeenRobot) -> tuple[str, ...]:
-    """Return the row of a robot in the table with the columns `_HEADINGS`."""
+    """Return the table row of a robot, with the columns `_HEADINGS`."""
     rate = f"{one.rate:.0f}" if math.isfinite(one.rate) else "-"
     age = f"{one.age:.2f}" if math.isfinite(one.age) else "-"
     counts = (rate, str(one.missed), str(one.damaged), age)

@@ -1,4 +1,4 @@
-"""View of a running bridge through its local feed or Zenoh; reconnects after the bridge restarts."""
+"""View of a running bridge through its local feed or Zenoh, with reconnection after a restart."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 _AGAIN = 0.5  # s between searches for a bridge
-_MOST = 5000  # messages processed at once: ten seconds of rows from two arms at the full rate
+_MOST = 5000  # messages processed at once: ten seconds of rows from two arms at full rate
 _PATIENCE = 2.0  # s, timeout for a bridge over Zenoh
-_ESTIMATE_GAP = 1.0  # s without a packet after which an estimate restarts
+_ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate restarts
 
 
 class Force(NamedTuple):
@@ -45,9 +45,9 @@ class Force(NamedTuple):
 
 
 class Running:
-    """Newest row of a running bridge, local or over Zenoh. With models, forces are estimated from every row.
+    """Newest row of a running bridge, local or over Zenoh. If models are given, forces are estimated from every row.
 
-    `described`: robot descriptions with meshes, which a bridge does not send.
+    `described`: robot descriptions with meshes, which bridges do not send.
     """
 
     watch: Watch
@@ -131,12 +131,12 @@ class Running:
         for name, robot in self._described.items():
             if name not in found:
                 raise UnknownName.among("robot of this cell", name, found)
-            advice = "Give the bridge's description, or omit --robot."
+            advice = "Pass the bridge's description, or omit --robot."
             check_same(robot, f"the bridge of {self._cell}", name, found[name].hash, found[name], advice)
         found |= self._described
         shown = {name: robot for name, robot in found.items() if self._robot in (None, name)}
         self._estimates = _estimates(self._models, shown)
-        if shown != self.robots:  # unchanged arms keep their scene
+        if shown != self.robots:  # otherwise, the scene is kept
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:
@@ -172,7 +172,7 @@ class _Estimate:
         if session != self._session:
             self._estimator.reset()
         elif t > self._t:
-            dt = t - self._t  # intermediate rows may have been dropped
+            dt = t - self._t  # because intermediate rows may have been dropped
             if dt > _ESTIMATE_GAP:
                 self._estimator.reset()
         self._t, self._session = t, session
@@ -195,7 +195,7 @@ _FRAME = 1.0 / 30.0  # s
 _WORDS = 0.25  # s between updates of the text
 _TRACE = 0.1  # s between updates of the tool path
 _PATH = 10.0  # s, length of the tool path shown
-_GAP = 0.5  # s without rows that interrupts curves and paths
+_GAP = 0.5  # s without rows, after which curves and paths are interrupted
 
 
 def watch(
@@ -211,7 +211,7 @@ def watch(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a bridge in the browser, also before it starts and after it ends, until `over` is true or Ctrl-C is pressed.
+    """Show a bridge in the browser, even before it starts and after it ends, until `over` is true or Ctrl-C is pressed.
 
     The descriptions in `described` add meshes, whose files are searched for in the folders `meshes`.
     """
@@ -229,7 +229,7 @@ def watch(
             if server.get_clients():
                 view.draw()
             else:
-                view.take()  # a new viewer receives the stored curves
+                view.take()  # so a new viewer receives the stored curves
             time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
     finally:
         running.close()
@@ -323,16 +323,16 @@ class _ArmView:
         self._picture: tuple[np.ndarray, np.ndarray | None, np.ndarray | None] | None = None
 
     def take(self, running: Running, t: float, follows: bool) -> None:
-        """Store the newest row with its time t [s]; `follows`: True if there is no gap after the last row."""
+        """Store the newest row with its time t [s]; `follows`: True if no gap separates it from the last row."""
         name = self._robot.name
         q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
-        if running.value(name, "age") > _GAP:  # the arm is silent while another arm sends: its values are outdated
+        if running.value(name, "age") > _GAP:  # outdated values of an arm that is silent while another arm sends
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
         self._picture = (q, wrench, covariance)
         if t < self._t or not follows:
             self._path.clear()
-        if not follows and t > self._t >= 0.0:  # interrupt the curves at missing rows
+        if not follows and t > self._t >= 0.0:  # break the curves at missing rows
             self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
         if t != self._t:
             self._path.add(t, forward(self._robot, q)[:3, 3])

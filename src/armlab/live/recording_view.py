@@ -45,7 +45,7 @@ _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "t
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Log of an arm: a table with q (N, n), and the times t (N,) of its rows since the start of the view [s]."""
+    """Log of an arm: a table with q (N, n), and the times t (N,) of its rows from the start of the view [s]."""
 
     robot: Robot
     table: Table
@@ -83,7 +83,7 @@ class Recorded:
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
-        """Return the rows of the last seconds before time t [s], at least one row."""
+        """Return the rows in the last `seconds` before time t [s], at least one row."""
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
 
@@ -123,7 +123,7 @@ class Recorded:
         return f"p50 {p50:.0f} µs, p99 {p99:.0f} µs"
 
     def _clamps(self, k: int) -> str:
-        """Return the active limits of each joint, and the number of rows with an active limit so far."""
+        """Return the active limits of each joint, and the number of rows so far with an active limit."""
         if "clamped" not in self.table:
             return "-"
         word = np.nan_to_num(self.table["clamped"][k]).astype(int)
@@ -161,8 +161,8 @@ def read_arms(
 ) -> list[Recorded]:
     """Return the arms recorded in one or several files, on a common clock that begins at 0.
 
-    A recording of armlab contains the descriptions of its robots. Other files need descriptions in `robots`, which are
-    matched by name or, for files without names, by the order of the files.
+    armlab recordings contain their robot descriptions. For other files, pass descriptions in `robots`, which are
+    matched by name or, for files without robot names, by the order of the files.
 
     Parameters
     ----------
@@ -170,11 +170,11 @@ def read_arms(
     robots : descriptions of robots.
     models : torque models, or their fits, to estimate the wrench of their arms if the log has no estimate.
     force : accept recordings made with another description of the arm.
-    columns : column names in files of other programs; see `log.read`.
+    columns : column names in files from other programs; see `log.read`.
 
     Raises
     ------
-    LogError : there is no file, a file is unreadable or has no q of its robot, or an arm is in two files.
+    LogError : no file is given, a file is unreadable or has no q of its robot, or two files contain the same arm.
     RobotError : a robot is neither described nor in the library.
     ModelMismatchError : a given robot differs from the recorded robot, or a model belongs to another arm.
     """
@@ -261,7 +261,7 @@ def _robot(
 
 
 def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
-    """Refuse a model that does not belong to any of the arms."""
+    """Reject a model that does not belong to any of the arms."""
     for model in models:
         if model.robot_hash not in {robot.hash for robot in arms}:
             if len(arms) == 1:
@@ -273,7 +273,7 @@ def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
 
 
 def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], force: bool) -> Table:
-    """Add the estimated wrench if the log has none and there is a model of this robot (with `force`: of this name)."""
+    """Add an estimated wrench if the log has none and a model of this robot (with `force`: of this name) is given."""
     model = next((model for model in models if model.robot_hash == robot.hash), None)
     if model is None and force:
         model = next((model.moved_to(robot) for model in models if model.robot_name == robot.name), None)
@@ -286,7 +286,7 @@ def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], forc
 
 
 def _start(tables: Sequence[Table]) -> int:
-    """Return the wall-clock time at the start of the view [ns], or 0 if the logs do not overlap in time."""
+    """Return the wall-clock time at which the view starts [ns], or 0 if the logs do not overlap in time."""
     ends = [(table.t0_ns + int(1e9 * table.t[0]), table.t0_ns + int(1e9 * table.t[-1])) for table in tables]
     together = max(first for first, _ in ends) <= min(last for _, last in ends)
     return min(first for first, _ in ends) if together and all(table.t0_ns for table in tables) else 0
@@ -303,7 +303,7 @@ def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int)
 _WINDOW = 10.0  # s, length of the curves and paths shown
 _FRAMES, _CURVES = 30.0, 10.0  # updates per second of the arms and of the panel
 _SPEEDS = (0.1, 4.0)  # range of the playback speed
-_ARM_COLORS = (BLUE, ORANGE)  # in the plot of the whole run
+_ARM_COLORS = (BLUE, ORANGE)  # for the plot of the whole run
 
 
 class Player:
@@ -325,7 +325,7 @@ class Player:
     scene : scene of the arms; ``scene.frame(name, T_world_x)`` adds a named frame.
     t : displayed time of the log [s].
     duration : time of the last row [s].
-    playing : True while the player runs.
+    playing : whether the player is running.
     speed : playback speed relative to real time, 0.1 to 4.
 
     Raises
@@ -355,7 +355,7 @@ class Player:
         self.duration: float = max(float(arm.t[-1]) for arm in arms)
         self._server, self._arms = server, list(arms)
         self._events = sorted({event for arm in arms for event in arm.events})
-        self._lock = threading.Lock()  # callbacks run in server threads
+        self._lock = threading.Lock()  # because callbacks run in server threads
         self._stale, self._panel_due = True, -math.inf
         self._controls = _Controls(server.gui, self)
         self._run, self._overview = self._whole_run(server.gui)
@@ -427,7 +427,7 @@ class Player:
             last = now
 
     def _draw(self) -> None:
-        """Draw the arms at the current time, and the panel at most ten times per second while playing."""
+        """Draw the arms at the current time; while playing, update the panel at most ten times per second."""
         with self._lock:
             t, playing, self._stale = self.t, self.playing, False
         now = time.monotonic()
@@ -451,7 +451,7 @@ class Player:
                 self._controls.show(t, past[-1] if past else None)
 
     def _whole_run(self, gui: Any) -> tuple[Curves, tuple[np.ndarray, np.ndarray]]:
-        """Return the plot of the whole run with its data: magnitude of the force if known, else speed of the tool."""
+        """Return the plot of the whole run with its data: force magnitude if known, else tool speed."""
         forces = any(arm.wrench is not None for arm in self._arms)
         t = np.unique(np.concatenate([arm.t for arm in self._arms]))
         columns = []
@@ -464,7 +464,7 @@ class Player:
         shown = envelope(t, np.stack(columns, axis=1))
         known = shown[1][np.isfinite(shown[1])]
         limits = (0.0, 1.05 * float(known.max(initial=0.0)) or 1.0)
-        title = "whole run: force [N]" if forces else "whole run: speed of the tool [m/s]"
+        title = "whole run: force [N]" if forces else "whole run: tool speed [m/s]"
         names = [arm.robot.name for arm in self._arms]
         colors = [_ARM_COLORS[k % len(_ARM_COLORS)] for k in range(len(names))]
         return Curves(gui, title, names, colors, cursor=True, limits=limits, height=90), shown

@@ -1,6 +1,6 @@
 """Browser scene: arms, tool paths, forces with uncertainty, and named frames.
 
-Links without meshes are drawn as capsules derived from the kinematics, joints as cylinders about their axes.
+Links without meshes are drawn as capsules derived from the kinematics, and joints as cylinders about their axes.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _THICK = (0.042, 0.020)  # radii of the first and last link relative to the arm 
 _DRUM = (1.25, 2.6)  # radius and length of a joint relative to the radius of its link
 _STROKE = 0.3  # default stroke of a prismatic joint without limits, relative to the arm length
 _SIDES = 20
-_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # arrow: shaft radius [m]; head radius [m] and relative start of the head
+_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # arrow: shaft radius [m]; head radius [m] and relative position of the head's base
 
 
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
-    """Return a capsule with a radius [m] around the line segment from a to b (3,)."""
+    """Return a capsule of the given radius [m] around the line segment from a to b (3,)."""
     from trimesh import creation
 
     length = float(np.linalg.norm(b - a))
@@ -47,7 +47,7 @@ def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
 
 
 def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
-    """Return a rod with a square cross-section of this width [m], with end centres a and b (3,)."""
+    """Return a rod from a to b (3,) with a square cross-section of the given width [m]."""
     from trimesh import creation
 
     T = along(a, b)
@@ -56,7 +56,7 @@ def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
 
 
 def arrow() -> Trimesh:
-    """Return an arrow from the origin to (0, 0, 1), to be scaled to the length of a force."""
+    """Return an arrow from the origin to (0, 0, 1), to be scaled by force."""
     from trimesh import creation
 
     radius, begin = _HEAD
@@ -67,7 +67,7 @@ def arrow() -> Trimesh:
 
 
 def bodies(robot: Robot) -> list[Trimesh]:
-    """Return n + 1 shapes: the mount from base to joint 1 in base axes, and each link in its link frame.
+    """Return n + 1 shapes: the mount from base to joint 1 in base axes, and each link in its own frame.
 
     A link follows its joint axes and their common normal, as in `plots.robot`; links become thinner towards the tool. A
     prismatic joint is a rod along its axis, as long as its stroke. The last shape includes the tool.
@@ -155,7 +155,7 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
             try:
                 read = trimesh.load_mesh(path)
                 return read.apply_scale(mesh.scale).apply_transform(mesh.T_link_mesh) if len(read.faces) else None
-            except Exception:  # each mesh reader raises its own exception types
+            except Exception:  # mesh readers have different exception types
                 return None
     return None
 
@@ -172,7 +172,7 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 
 _ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
-_SURE = 1e-6  # N, smallest half-axis of an ellipsoid
+_SURE = 1e-6  # N, minimum half-axis of an ellipsoid
 _SHORTEST, _FULL = 1e-3, 0.15  # m: shortest arrow drawn, and shortest arrow drawn at full width
 
 
@@ -190,7 +190,7 @@ class ForceArrow:
         self._arrow.visible = self._spread.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
-        """Draw a force (3,) [N] at the tool with its ellipsoid, at a scale `unit` [m/N]; hide a force that is NaN."""
+        """Draw a force (3,) [N] and its ellipsoid at the tool, at a scale `unit` [m/N]; hide a NaN force."""
         if force is None or not np.isfinite(force).all():
             self.hide()
             return
@@ -243,15 +243,15 @@ _MOST_POINTS = 300  # maximum number of points drawn per path
 
 
 class RobotScene:
-    """Arms in a common world, drawn by `show`; other nodes of viser's ``server.scene`` can be used freely.
+    """Arms in a common world, drawn by `show`. All other nodes of viser's ``server.scene`` are free for other use.
 
     Links are capsules in the colour of their arm, joints are cylinders in the colour of their curves, and the tool
-    point is a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the
-    ellipsoid at its tip is the 2-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
+    point is a sphere with axes. The arrow is the force exerted by the environment on the robot; the ellipsoid at its
+    tip is the 2-sigma uncertainty. Both are grey while the 95 % ellipsoid contains zero.
 
     `T_world_base`: pose (4, 4) of each arm's base in the world, keyed by arm name; default: the identity. The mount is
-    part of the robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of a force
-    arrow per force [m/N], which takes effect at the next `show`.
+    part of the robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of force arrows
+    [m/N], which takes effect at the next `show`.
     """
 
     def __init__(
@@ -283,7 +283,7 @@ class RobotScene:
         self._surround()
 
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
-        """Add an arm with its base at a pose (4, 4), by default the identity; replace any arm of the same name."""
+        """Add an arm with its base at a pose (4, 4), by default the identity; replace any arm with the same name."""
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
@@ -310,7 +310,7 @@ class RobotScene:
         """Draw an arm at a configuration q (n,) [rad or m] and the force on it. Missing or NaN values are hidden.
 
         `wrench`: wrench (6,) or force (3,) exerted by the environment on the robot, in base axes at the tool point [N,
-        N m]. `covariance`: its covariance (6, 6) or (3, 3). Group the arms of a frame in ``with server.atomic():``.
+        N m]. `covariance`: its covariance (6, 6) or (3, 3). Draw all arms of a frame inside ``with server.atomic():``.
         """
         robot = self._robot(name)
         q = _array(q, "q", ((robot.n,),))
@@ -319,15 +319,15 @@ class RobotScene:
         self._arms[name].show(q, force, spread, positive(self.arrow, "length of a force [m/N]"))
 
     def trace(self, name: str, points: ArrayLike) -> None:
-        """Draw the thinned path (K, 3) of an arm's tool in base axes [m]; hide it with fewer than two finite points."""
+        """Draw the thinned tool path (K, 3) of an arm in base axes [m]; hide it if fewer than two points are finite."""
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
         if points.ndim != 2 or points.shape[1] != 3:
-            raise ShapeError(f"Expected points of a path of shape (K, 3), got {points.shape}.")
+            raise ShapeError(f"Expected path points of shape (K, 3), got {points.shape}.")
         self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
 
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
-        """Draw or move a named frame to a pose (4, 4), or remove it with None; `length`: length of its axes [m]."""
+        """Draw a named frame at a pose (4, 4), or move it there; None removes it. `length`: length of its axes [m]."""
         if T_world_x is None:
             if name in self._frames:
                 self._frames.pop(name).remove()
@@ -361,7 +361,7 @@ class RobotScene:
 
 
 class _ArmNodes:
-    """Scene nodes of one arm below ``/<name>``, in its base axes."""
+    """Scene nodes of one arm under ``/<name>``, in its base axes."""
 
     def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Sequence[Path]) -> None:
         self.T_world_base = T_world_base
@@ -406,7 +406,7 @@ class _ArmNodes:
 
 
 def arrow_slider(gui: Any, scene: RobotScene, changed: Callable[[], object] = lambda: None) -> Any:
-    """Return a slider for the length of the force arrows, which calls `changed` after each change."""
+    """Return a slider for the length of the force arrows; each change calls `changed`."""
     slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, round(1e3 * scene.arrow))
 
     @slider.on_update

@@ -1,4 +1,4 @@
-"""Server of a browser view without console output, accessible only from this computer."""
+"""Server of a browser view, which is silent on the console and accessible only from this computer."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 """The only listening address."""
 
-_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # any port, because the port may be forwarded
+_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # any port, because it may be forwarded
 _PORT = 8080
 _WIDTH = 420  # width of the panel in pixels
 
 
 def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
-    """Start the server of a view without console output, and return it.
+    """Start the server of a view and return it.
 
     The server listens only on 127.0.0.1, rejects pages of other sites, and blocks viser's share links, which are public
-    tunnels. Group the updates of a frame in ``with server.atomic():``.
+    tunnels. Make all updates of a frame inside ``with server.atomic():``.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
             "Expected the package viser for a browser view, but it is not installed. Install it: pip install "
             "'armlab[live]'."
         ) from None
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a closing browser is not an error
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # closing the browser is not an error
     with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's banner
         server = viser.ViserServer(host=HOST, port=_PORT if port is None else port, label=label, verbose=False)
-    if port and server.get_port() != port:  # viser falls back to the next port
+    if port and server.get_port() != port:  # viser falls back to the next free port
         stop(server)
         raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another with --port.")
     _refuse_other_sites(server)
-    server.request_share_url = _refused  # a page can also request the link
+    server.request_share_url = _refused  # because a page can also request the link
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(_WIDTH)
@@ -86,8 +86,8 @@ def stop(server: ViserServer) -> None:
 def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
     """Return whether a connection comes from a page of this server or from a program other than a browser.
 
-    A page cannot forge these headers. The host must be a local name, because a foreign domain name may resolve to this
-    computer.
+    Web pages cannot forge these headers. The host must be a local name, because any other domain name may resolve to
+    this computer.
     """
     if not origins:
         return True
@@ -95,8 +95,8 @@ def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
 
 
 def _refuse_other_sites(server: ViserServer) -> None:
-    """Close connections from pages of other sites before any data is sent, because viser does not check the origin."""
-    sockets = server._websock_server  # viser has no public access to the request headers
+    """Close connections from other sites' pages before sending data, because viser does not check the origin."""
+    sockets = server._websock_server  # viser provides no public access to the request headers
 
     async def look(client: Any) -> None:
         connection: Any = sockets._live_connections[client.client_id]
@@ -105,7 +105,7 @@ def _refuse_other_sites(server: ViserServer) -> None:
             await connection.close(1008, "Expected a page from this server.")
 
     sockets.on_client_connect(look)
-    sockets.disconnect_all_clients()  # earlier connections; pages of this server reconnect
+    sockets.disconnect_all_clients()  # closes earlier connections; pages of this server reconnect
 
 
 def _refused(*_: Any, **__: Any) -> NoReturn:

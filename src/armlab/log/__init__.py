@@ -1,4 +1,4 @@
-"""Logs: `Table`, a recorder that survives kill -9, and readers for many formats."""
+"""Logs: `Table`, a crash-safe recorder, and readers for many formats."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from armlab.log.table import Table
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # padded to the largest robot
 
-_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; a larger value means that the clock was set
+_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; a larger value indicates that the clock was reset
 
 
 def recording_table(
@@ -31,7 +31,7 @@ def recording_table(
     present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
     described = {name: replace(columns[name], shape=()) for name in present}
     for name, array in present.items():
-        if not _fits(array, described[name].kind):  # one invalid value must not make the recording unreadable
+        if not _fits(array, described[name].kind):  # an invalid value must not make the recording unreadable
             notes.append(f"{name}: stored as real because values do not match the kind {described[name].kind}")
             described[name] = replace(described[name], kind="real")
     return Table(t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes))
@@ -40,9 +40,9 @@ def recording_table(
 def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> tuple[np.ndarray, str]:
     """Return the times t (N,) [s], which begin at 0, and the name of their clock.
 
-    The first available clock of this list is used: a column `t`, the robot's clock, the session time (offset by the
-    stamps of each session), the stamps. The robot's clock must be complete, increasing and within 1 s of the session
-    time; otherwise it was set during recording.
+    Uses the first available clock: a column `t`, the robot's clock, the session time (offset by the stamps of each
+    session), or the stamps. The robot's clock must be complete, increasing and within 1 s of the session time;
+    otherwise it was reset during recording.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"
@@ -78,12 +78,12 @@ def _before_guidance(session_t: np.ndarray, dt: np.ndarray | None, first: np.nda
 
 
 def wall_at_zero(t: np.ndarray, stamp_ns: np.ndarray) -> int:
-    """Return the wall clock at t = 0 [ns], or 0 without rows; `t` need not be 0 in the first row."""
+    """Return the wall-clock time at t = 0 [ns], or 0 without rows; `t` need not be 0 in the first row."""
     return int(stamp_ns[0]) - round(float(t[0]) * 1e9) if len(t) else 0
 
 
 def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the mask (N,) of rows later than all previous rows, and the number of other rows."""
+    """Return the mask (N,) of rows later than all previous rows, and the number of remaining rows."""
     finite = np.where(np.isfinite(t), t, -np.inf)
     before = np.concatenate(([-np.inf], np.maximum.accumulate(finite)[:-1]))[: len(t)]
     keep = finite > before
@@ -93,11 +93,11 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
 def rows_in_order(
     t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return increasing times (N,), the mask (N,) of kept rows, and a note on dropped rows, if any; also warn."""
+    """Return increasing times (N,), the mask (N,) of kept rows, and a note on any dropped rows; also warn."""
     keep, lost = in_time_order(t)
     if not lost:
         return t, keep, ()
-    if raw:  # 1 ns after the previous row where the clock stands still or steps back
+    if raw:  # if the clock stops or steps back, the row is 1 ns after the previous row
         steps = np.arange(len(t)) * 1e-9
         t = np.maximum.accumulate(np.where(np.isfinite(t), t, -np.inf) - steps) + steps
         return t, np.ones(len(t), dtype=bool), ()
@@ -108,7 +108,7 @@ def rows_in_order(
 
 
 def _fits(array: np.ndarray, kind: str | None) -> bool:
-    """Return whether the values fit their kind; missing values are handled by the table."""
+    """Return whether the values fit their kind; the table handles missing values."""
     if array.dtype.kind != "f" or kind not in ("count", "flag") or not np.isfinite(array).all():
         return True
     with np.errstate(invalid="ignore"):

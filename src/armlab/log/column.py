@@ -22,7 +22,7 @@ KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
 class Column(Shown):
     """Description of one column.
 
-    For names in the glossary, missing attributes are taken from there. Other names need a unit.
+    For names in the glossary, missing attributes are taken from there. Other names require a unit.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Column(Shown):
 
 
 def resolved(column: Column, name: str) -> Column:
-    """Complete a description from the glossary; raise an error if the two contradict each other."""
+    """Complete a description from the glossary; raise an error if they contradict each other."""
     symbol = glossary.columns().get(name)
     if symbol is None and column.unit is None:
         raise ShapeError(
@@ -143,7 +143,7 @@ def _writable_somewhere(array: np.ndarray) -> bool:
 
 OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
 OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
-"""Column name by field name of Robotlab.jl's logs."""
+"""Column name, keyed by field name in Robotlab.jl logs."""
 
 
 def alias(name: str) -> str:
@@ -157,11 +157,11 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
 
 
-_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes that are always allowed; otherwise, most cells per value
+_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes that are always allowed; otherwise, maximum cells per value
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Raise an error if padding ragged values would give large and nearly empty columns; `widths` has one per name."""
+    """Raise an error if padding ragged values would give large, nearly empty columns; `widths`: width by name."""
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:
         widest = max(widths, key=lambda path: widths[path])
@@ -181,7 +181,7 @@ UNITS = {
     "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0), "W": ("W", 1.0), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0),
     "1": ("1", 1.0), "": ("", 1.0),
 }  # fmt: skip
-"""Unit of armlab and conversion factor by unit in a file."""
+"""Unit in armlab and conversion factor, keyed by unit in a file."""
 
 
 def between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -202,7 +202,7 @@ def between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarra
 
 
 def pose_between(T_base_a: np.ndarray, T_base_b: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Interpolate poses by rotation about one axis at constant speed and by straight-line translation."""
+    """Interpolate poses: constant-rate rotation about a fixed axis, and linear translation."""
     R_a, R_b = T_base_a[:, :3, :3], T_base_b[:, :3, :3]
     turn = so3.log(R_a.swapaxes(-1, -2) @ R_b)
     p = (1.0 - s[:, None]) * T_base_a[:, :3, 3] + s[:, None] * T_base_b[:, :3, 3]
@@ -210,7 +210,7 @@ def pose_between(T_base_a: np.ndarray, T_base_b: np.ndarray, s: np.ndarray) -> n
 
 
 def holes(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return the values with the masked rows (k,) set to missing (NaN or empty text)."""
+    """Return the values with the masked rows (k,) set to missing (NaN or an empty string)."""
     if not missing.any():
         return values
     values = values.copy() if values.dtype.kind == "U" else values.astype(float)
@@ -229,7 +229,7 @@ def spread(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 def missing_rows(array: np.ndarray) -> np.ndarray:
-    """Return the mask (N,) of rows with a NaN or, in text, an empty value."""
+    """Return the mask (N,) of rows with a NaN or, in text columns, an empty string."""
     if array.dtype.kind not in "fU" or not array.size:
         return np.zeros(len(array), dtype=bool)
     holes = np.isnan(array) if array.dtype.kind == "f" else np.asarray(array == "")

@@ -28,7 +28,7 @@ __all__ = ["read_cloud", "read_matrix", "read_plane"]
 
 MM = 1e-3  # m
 NORMAL = 1e-4  # tolerance on the length of a rounded normal
-LONGEST = 16_000_000  # bytes; a cloud takes about a hundred per point
+LONGEST = 16_000_000  # bytes; a cloud takes about 100 bytes per point
 DECORATION = re.compile(r"[\[\];\"']")
 SEPARATOR = re.compile(r"[\s,]+")
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
@@ -44,7 +44,7 @@ class Cloud:
     p : (N, 3) points in the tracker's frame [m].
     index : (N,) index in the file.
     R : (N, 3, 3) orientation of the probe at each point.
-    stopped : number of the first line that is not a row, counted from 1; 0 if all lines are rows.
+    stopped : number (from 1) of the first line that is not a row; 0 if all lines are rows.
     comments : names and values after the rows, for example {"MEAS_OBJECT": "CloudSeam"}.
     """
 

@@ -1,4 +1,4 @@
-"""`read` reads any finished or unfinished log file as a `Table`; `read_arm` reads the log of one arm."""
+"""`read` reads a finished or unfinished log file as a `Table`; `read_arm` reads the log of one arm."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _READERS: dict[str, Callable[..., Table]] = {
     "LabComm": lambda path, raw, names: renamed(path, read_labcomm(path, raw=raw), names),
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # from `write`: rows are in order
+    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # from `write`, so in order
 }
 _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # can read individual columns
 
@@ -50,14 +50,14 @@ def read(
 ) -> Table:
     """Read a log as a `Table`: a recording, or any format supported by `write`.
 
-    LabComm streams (`read_labcomm`) and text, MAT, HDF5 and Parquet files of other programs are also supported. In
-    these files, numbered columns of a known name are joined and units are converted (`read_csv`).
+    LabComm streams (`read_labcomm`) and text, MAT, HDF5 and Parquet files from other programs are also supported. In
+    these files, numbered columns with a known name are joined, and units are converted (`read_csv`).
 
-    In MCAP files, rosbag2 and ROS 1 bags of other programs, the arm's JointState becomes q, qd and tau, with the joint
-    names as labels. A single WrenchStamped becomes wrench_raw. Everything else is named after its topic: "/ft/wrench"
-    becomes ft.wrench (N, 6), a pose becomes matrices (N, 4, 4), a transform is tf.parent.child, and other numbers are
-    topic.field. Values of topics with their own timestamps are held until the next message, with their age in
-    ``<name>_age``.
+    In MCAP files and rosbag2 or ROS 1 bags from other programs, the arm's JointState becomes q, qd and tau, with the
+    joint names as labels. A single WrenchStamped becomes wrench_raw. Everything else is named after its topic:
+    "/ft/wrench" becomes ft.wrench (N, 6), a pose becomes matrices (N, 4, 4), a transform is tf.parent.child, and other
+    numbers are topic.field. Values of topics with their own timestamps are held until the next message, with their age
+    in ``<name>_age``.
 
     An unfinished or damaged file is read as far as possible, with one warning and a note. Rows with non-increasing time
     are dropped; a note and a warning list the first dropped rows.
@@ -65,26 +65,26 @@ def read(
     Parameters
     ----------
     path : file, or folder of a rosbag2; the format is detected from the first bytes.
-    columns : list of columns to read; default: all. A text or a mapping gives the column names in a file of another
+    columns : list of columns to read; default: all. A string or a mapping gives the column names in a file from another
         program: ``"q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5"`` or ``{"q": ["shoulder", "elbow"]}``, with unit
         and factor if needed, or a preset: ``"ur"`` (RTDE), ``"franka"`` (libfranka, franka_ros), ``"ros"`` (JointState
         as CSV), ``"abb"`` and, for seven joints, ``"abb7"`` (abb_libegm). Without a header, columns are given by
         position: ``"t=1,q={2..7}"``. Other columns keep their names.
-    robot : robot to select if the file contains several robots. For a log of another program: a robot or its name,
+    robot : robot to select if the file contains several robots. For a log from another program: a robot or its name,
         which sets the joint order of the table, or the first part of its topic names.
-    clock : for a log of another program, the topic whose timestamps define the rows; required if topics have different
-        rates.
+    clock : for a log from another program, the topic whose timestamps define the rows; required if topics have
+        different rates.
     raw : keep rows with non-increasing time.
     progress : called with (done, total, what) while a large file is read.
 
     Returns
     -------
-    Table : t = 0 at the first row, on the robot's clock if recorded. Data that were not recorded have no column.
+    Table : t = 0 at the first row, on the robot's clock if recorded. Unrecorded data have no column.
 
     Raises
     ------
-    LogError : the file is missing, unreadable or in an unknown format. A log of another program has topics with
-        different rates, several arms, or joints that do not match those of the robot; the message lists them.
+    LogError : the file is missing, unreadable or in an unknown format. Also if a log from another program has topics
+        with different rates, several arms, or joints that do not match those of the robot; the message lists them.
     MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a column, topic, preset or robot does not exist; the message lists the available names.
     ConfigError : clock= for a log with one clock, robot= for a file without robot names, or invalid columns=.
@@ -133,13 +133,13 @@ def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: 
 def _refuse_clock(path: Path, clock: str | None) -> None:
     if clock is not None:
         raise ConfigError(
-            f"Expected a log with topics of another program for clock={clock!r}, got {path}, whose rows have a single "
-            "clock. Omit clock=."
+            f"Expected a log with topics from another program for clock={clock!r}, got {path}, whose rows have a "
+            "single clock. Omit clock=."
         )
 
 
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
-    """Return a note on the rows that the recorder dropped for the robot with this clock channel, if any."""
+    """Return a note on any rows that the recorder dropped for the robot with this clock channel."""
     stored = recorded.summary_of(view, found).get("holes")
     robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
     holes = [hole for hole in stored if isinstance(hole, list) and len(hole) > 2] if isinstance(stored, list) else []
@@ -168,7 +168,7 @@ def _recording(
     try:
         table = recording_table(values, described, rows.log_ns, raw=choice.raw)
     except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
-        raise LogError(f"Expected supported columns in {path}, got invalid columns: {error}") from None
+        raise LogError(f"Expected valid columns in {path}, got an error: {error}") from None
     t0_ns, clock_name = recorded.kept_clock(found, sources, table.t0_ns, table.clock)
     table = replace(table, t0_ns=t0_ns, clock=clock_name)
     if columns is None:
@@ -196,7 +196,7 @@ def read_arm(
     robot : the recorded arm.
     progress : called with (done, total, what), see `read`.
     force : accept a recording made with another description of the arm (tool, mount, limits), with a warning.
-    columns : column names in the file, as a text or a mapping, see `read`.
+    columns : column names in the file, as a string or a mapping, see `read`.
     needed : required columns.
 
     Raises
@@ -229,15 +229,15 @@ def read_arm(
 def _source_of(missing: Sequence[str], table: Table, robot: Robot, mapped: bool) -> str:
     """Return a hint on how to obtain the missing positions or torques."""
     if mapped:
-        return f"Give their names: --columns '{','.join(f'{name}=NAME_{{1..{robot.n}}}' for name in missing)}'."
+        return f"Pass their names: --columns '{','.join(f'{name}=NAME_{{1..{robot.n}}}' for name in missing)}'."
     if fitting := fitting_presets(dict.fromkeys(["time", *table.names], (table.t, ""))):
         return fitting
     if missing == ["tau"]:
         way = "Record with the research extension, which sends torques"
     else:
-        way = "Give a log of the joints; armlab log show lists its columns"
+        way = "Pass a log of the joints; armlab log show lists its columns"
     return (
-        f"{way}; for a log of another program give their names: --columns q=NAME_{{1..6}},tau=NAME_{{1..6}}, or a "
+        f"{way}; for a log from another program, pass their names: --columns q=NAME_{{1..6}},tau=NAME_{{1..6}}, or a "
         "preset, --columns ur, franka or ros."
     )
 

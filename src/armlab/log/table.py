@@ -27,7 +27,7 @@ TAU_SOURCES = ("none", "measured", "reference")
 
 # Optional fields of `State` in a table.
 _ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
-_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds its own reply, whereas a State holds the previous reply
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row contains its own reply, a State the previous reply
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
@@ -71,8 +71,8 @@ def _states(table: Table) -> Iterator[State]:
 class Table:
     """Immutable table of named columns with units on one clock.
 
-    ``table["q"]`` is the read-only array (N, n); axis 0 is time. For names in the glossary, unit, shape and kind are
-    taken from there; other names need a unit. Missing values are NaN and stay NaN. Operations return new tables.
+    ``table["q"]`` is the read-only array (N, n); axis 0 is time. Names in the glossary determine unit, shape and kind;
+    other names require a unit. Missing values are NaN and remain NaN. Operations return new tables.
 
     Attributes
     ----------
@@ -83,13 +83,13 @@ class Table:
     columns : mapping
         `Column` by name: shape of a row, unit, frame, labels, kind.
     t0_ns : int, ns
-        Wall clock at t = 0; 0 if unknown.
+        Wall-clock time at t = 0; 0 if unknown.
     clock : str
         Clock of `t`: robot, bridge or file.
     notes : tuple of str
         Changes to the data: rows dropped, seconds recovered, conversions.
     source : tuple of str
-        Origin of the data and all operations since.
+        Origin of the data, and all operations applied to it.
 
     Examples
     --------
@@ -177,7 +177,7 @@ class Table:
     def dt(self) -> np.ndarray:
         """Time since the previous row (N,) [s]: the column `dt` if recorded, otherwise differences of `t`.
 
-        The first row holds the median (NaN if it is the only row). Across removed rows, the difference of `t` is used.
+        The first value is the median (NaN for a single row). Across removed rows, the difference of `t` is used.
         """
         steps = np.diff(self.t)
         usual = np.median(steps) if len(steps) else np.nan
@@ -192,9 +192,9 @@ class Table:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of names, units, kinds, types, shapes, values and `t`: equal data from any file have equal hashes.
+        """Hash of names, units, kinds, types, shapes, values and `t`: equal data have equal hashes in any file format.
 
-        Notes, source and clock are not included. All NaN values are equal.
+        Notes, source and clock are excluded. All NaN values count as equal.
         """
         digest = hashlib.sha256(b"armlab table 1\n")
         digest.update(_bytes(self.t))
@@ -221,7 +221,7 @@ class Table:
         return self._taken(slice(*np.searchsorted(self.t, [t0, t1], side="left")), f"between({t0:g}, {t1:g})")
 
     def where(self, mask: np.ndarray | Callable[[Table], np.ndarray]) -> Table:
-        """Return the rows where the mask (N,), or a function from the table to a mask, is true."""
+        """Return the rows where a mask (N,) is true; `mask` may also be a function that returns the mask of a table."""
         return self.rows(np.asarray(mask(self) if callable(mask) else mask, dtype=bool))
 
     def dropna(self, *names: str) -> Table:
@@ -264,7 +264,7 @@ class Table:
         Parameters
         ----------
         name : str
-            Name of the column; known names need no attributes.
+            Name of the column; names in the glossary need no attributes.
         values : array, shape (N, ...)
             Values.
         unit : str
@@ -336,7 +336,7 @@ class Table:
         Raises
         ------
         ShapeError
-            The rate is lower than that of the table (filter first) or absurdly high, a time is outside the table, or
+            The rate is lower than that of the table (filter first) or implausibly high, a time is outside the table, or
             the table has fewer than two rows.
         """
         if len(self) < 2:
@@ -349,7 +349,7 @@ class Table:
                 "rate aliases noise into the signal. Filter first, with signals.lowpass_offline, then select rows."
             )
         values = _at(self, t, "linear", 3.0 * period if max_gap is None else max_gap)
-        values.pop("dt", None)  # periods of the old clock
+        values.pop("dt", None)  # sample periods of the old clock
         columns = {name: self.columns[name] for name in values}
         operation = f"resample({len(t)} rows, {t[0]:g} to {t[-1]:g} s)"
         return self._derived(operation, t=t, values=values, columns=columns)
@@ -357,14 +357,14 @@ class Table:
     def join(self, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
         """Add another table's columns at the times of this table, and the age of each as ``<name>_age``.
 
-        The tables are aligned by wall clock (`t0_ns`) if both have one, otherwise by `t`.
+        The tables are aligned by wall-clock time (`t0_ns`) if both have it, otherwise by `t`.
 
         Parameters
         ----------
         other : Table
             Table with the columns to add, whose names must be new.
         fill : str
-            "hold" uses the last row at or before each time; "linear" interpolates as in `resample`.
+            "hold" uses the last row at or before each time. "linear" interpolates as in `resample`.
         max_age : float, s
             Age beyond which a held value is missing, or the longest interpolated gap; default: unlimited.
 
@@ -373,7 +373,7 @@ class Table:
         ShapeError
             A column or its age exists in both tables.
         UnknownName
-            Unknown `fill`.
+            `fill` is unknown.
         """
         if fill not in ("hold", "linear"):
             raise UnknownName.among("fill method", fill, ("hold", "linear"))
@@ -549,7 +549,8 @@ _SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the
 def concat(*tables: Table) -> Table:
     """Concatenate the rows of several tables on one clock; gaps between them remain.
 
-    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise, their own `t` does.
+    If all tables have a wall-clock time (`t0_ns`), it determines the times of the later tables; otherwise, their own
+    `t` does.
 
     Parameters
     ----------
@@ -559,7 +560,7 @@ def concat(*tables: Table) -> Table:
     Raises
     ------
     ShapeError
-        There are no tables; columns, units or kinds differ; or a table begins before the previous table ends.
+        No tables are given; columns, units or kinds differ; or a table begins before the previous table ends.
     """
     if not tables:
         raise ShapeError("Expected at least one table to concatenate, got none.")
@@ -607,7 +608,7 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
     if len(outside) or not len(t):
         got = f"{t[outside[0]]:g} s in row {outside[0]}" if len(outside) else "no times"
         raise ShapeError(
-            f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}. A table is not extrapolated."
+            f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}. Tables are not extrapolated."
         )
     return t
 

@@ -1,4 +1,4 @@
-"""Checks for wrong units and for motor-side values; errors state the likely factor."""
+"""Checks for wrong units and motor-side values, whose errors state the likely factor."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from armlab.errors import NotExcited, ShapeError
 from armlab.robots import Robot
 
 TOLERANCE, CORRELATION = 0.1, 0.98  # relative gain error, and correlation of qd with the derivative of q
-BEYOND = 3.0  # multiple of the joint limits beyond which a position must be in a different unit
+BEYOND = 3.0  # multiple of the joint limits; positions beyond it must be in a different unit
 FLAT = 0.8  # fraction of rows with the same torque
 LIGHT = 0.1  # kg/m^3, torque / (g reach^4): 1 to 60 for arms, < 0.05 for motors of geared arms
-HEAVY, DYNAMIC = 12.0, 3.0  # largest plausible ratio of link weight to torque; allowance for dynamic torque
+HEAVY, DYNAMIC = 12.0, 3.0  # maximum plausible ratio of link weight to torque; allowance for dynamic torque
 GEARED = 10.0
 MOVED = (0.005, np.deg2rad(1.0))  # m, rad: smallest motion of a joint for the velocity check
-FEW = 0.01  # fraction of rows with implausible positions that counts as glitches
+FEW = 0.01  # maximum fraction of rows with implausible positions that count as glitches
 
 
 def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
@@ -23,7 +23,7 @@ def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
-    """Raise an error for positions in the wrong unit and for unmeasured torques; a few wrong rows are ignored."""
+    """Raise an error for positions in the wrong unit or unmeasured torques; a few wrong rows are ignored."""
     whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
     q, tau = q[whole], tau[whole]
     if not len(q):
@@ -84,7 +84,7 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
         words.append(f"{robot.joint_names[i]} ({gain[i]:.3g} times: {what})")
     raise ShapeError(
         f"Expected qd to be the derivative of q, but it differs for {', '.join(words)}. "
-        "Correct the column, or omit qd, which is then computed from q."
+        "Correct the column, or omit qd to compute it from q."
     )
 
 
@@ -104,10 +104,10 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
 
 
 def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Raise an error for torques (N, n) that are constant, or so small that they must be on the motor side.
+    """Raise an error for torques (N, n) that are constant, or so small that they must be motor-side torques.
 
-    If the robot file has link masses, the torque is compared with the weight of the links. Otherwise it is compared
-    with the reach: half the torque range divided by ``g reach^4`` is 1 to 60 kg/m^3 for payloads of 0.5 to 300 kg.
+    If the robot file has link masses, the torque is compared with the weight of the links, otherwise with the reach.
+    For payloads of 0.5 to 300 kg, half the torque range divided by ``g reach^4`` is 1 to 60 kg/m^3.
     """
     check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)

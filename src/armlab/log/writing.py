@@ -22,7 +22,7 @@ from armlab.log.recording.rows import RowLayout
 from armlab.log.table import Table
 from armlab.robots import Robot
 
-_EXACT = 2**53  # integers up to here are exact as floats
+_EXACT = 2**53  # integers up to this value are exact as floats
 _TOLD = 1000  # rows of a recording between two progress reports
 _FILES: dict[str, Callable[[Table, BinaryIO, Progress], None]] = {
     ".csv": write_csv,
@@ -45,13 +45,12 @@ def write(
 ) -> Path:
     """Write a table to a file, and return its path; an existing file is replaced atomically or not at all.
 
-    `read` restores the same table from every format, including its provenance. From MCAP and rosbag2, the values are
-    equal up to rounding, because stamps are whole nanoseconds and poses are quaternions. The extension determines the
-    format:
+    `read` restores the same table from every format, including its provenance. With MCAP and rosbag2, values are equal
+    up to rounding, because stamps are whole nanoseconds and poses are quaternions. The extension determines the format:
 
     * ``.mcap``: a recording; needs `robot` for the names of topics and joints.
-    * ``.csv``: ``t [s],q1 [rad],...``, with the fewest digits that read back exactly; missing values are empty. Further
-      column attributes are in ``run.csv.toml``.
+    * ``.csv``: ``t [s],q1 [rad],...``, with the fewest digits that read back exactly; missing values are empty. All
+      other column attributes are in ``run.csv.toml``.
     * ``.mat``: MATLAB, version 5; one variable per column, units in a struct; columns up to 2 GB.
     * ``.parquet``: a flat column per component, units in the fields' metadata; needs pyarrow.
     * ``.h5``, ``.hdf5``: a dataset (N, ...) per column with attributes unit and kind; needs h5py.
@@ -60,18 +59,18 @@ def write(
     Parameters
     ----------
     table : table to write; MCAP stores neither text columns nor user-defined counts above 2^53.
-    path : path of the file, or of the folder of a rosbag2.
+    path : path of the file, or the folder of a rosbag2.
     robot : the arm, required for MCAP; in a rosbag2, the joint names of its URDF replace the labels.
     storage : storage format of a rosbag2, mcap or sqlite3; releases before Iron read SQLite without a plugin.
     progress : called with (done, total, what).
 
     Raises
     ------
-    ConfigError : unknown file extension, or no robot for MCAP.
+    ConfigError : the file extension is unknown, or MCAP output has no robot.
     LogError : the file cannot be written, or the format cannot hold the table.
     MissingExtra : pyarrow or h5py is not installed.
-    RobotError : the argument is not a robot.
-    ShapeError : not a table, or a column that does not fit the robot's joints.
+    RobotError : `robot` is not a Robot.
+    ShapeError : the argument is not a table, or a column does not match the robot's joints.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
@@ -132,7 +131,7 @@ def _remove(path: Path) -> None:
 
 
 def _check_text(table: Table) -> None:
-    """Reject text that files cannot store: NUL ends a string in HDF5 and ROS; lone surrogates are invalid Unicode."""
+    """Reject text that files cannot store: NUL ends strings in HDF5 and ROS; lone surrogates are invalid Unicode."""
     for name in table.names:
         if table[name].dtype.kind != "U":
             continue
@@ -154,8 +153,8 @@ def _misfit(name: str, table: Table, shape: tuple[int, ...], robot: Robot) -> Sh
 def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell: Progress) -> None:
     if robot is None:
         raise ConfigError(
-            f"Expected a robot for the table in {path}, got none. Pass robot= (--robot of commands), or write a .csv "
-            "file."
+            f"Expected a robot for the table in {path}, got none. Pass robot= (or --robot on the command "
+            "line), or write a .csv file."
         )
     standard = RowLayout(robot).slots
     extra = {name: table.columns[name] for name in table.names if name not in standard}

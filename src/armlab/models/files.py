@@ -1,8 +1,8 @@
 """Model files: TOML with provenance and full precision, bound to one robot.
 
 A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
-name and hash, and the sign convention of the wrench. Loading rejects any other kind, format or sign. Torque models
-have human-readable tables; other values use the generic format.
+name and hash, and the sign convention of the wrench. Loading rejects a file with a different kind, format or
+sign. Torque models have human-readable tables; other values use the generic format.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from armlab.models.uncertainty import VelocityCovariance
 #     [value]  the fields of the value
 #     [fit]    statistics of the fit: names, units, covariance, noise, outliers
 #
-# Numbers have 17 digits and arrays are written row by row, so that reading is bit-exact. Any class in the package can
-# call `register`; `models.save` and `models.load` do the rest.
+# Numbers have 17 digits and arrays are written row by row, so reading is bit-exact. After a call of
+# `register`, a class works with `models.save` and `models.load`.
 
 
 FORMAT = 1
@@ -112,7 +112,7 @@ def _check_units(written: Any, known: Mapping[str, str]) -> None:
 
 
 def _check_texts(value: Any, path: Path) -> None:
-    """Reject a value whose sources or robot cannot be written to [meta]."""
+    """Reject a value whose sources or robot name are not strings, which [meta] requires."""
     known = provenance("", value)
     texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
     for name, text in texts:
@@ -141,7 +141,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
 
 @contextmanager
 def _readable(wanted: str, advice: str) -> Iterator[None]:
-    """Turn any error about the contents of a file into one sentence."""
+    """Convert any error about file contents to a one-sentence error."""
     try:
         yield
     except ConfigError:
@@ -348,8 +348,8 @@ def save(
 
     Parameters
     ----------
-    value : a `TorqueModel`, an instance of a registered class, or a fit of either, saved with its statistics as by
-        `Fit.save`.
+    value : a `TorqueModel`, an instance of a registered class, or a fit of either, which is saved with its statistics,
+        as by `Fit.save`.
     path : file name ending in ``.toml``.
     statistics : statistics of the fit, written to the table [fit].
     sources : names of additional source files, stored with their SHA-256.
@@ -362,7 +362,7 @@ def save(
     path = Path(path)
     if path.suffix != ".toml":
         raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the extension.")
-    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a Fit: a higher layer
+    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a Fit, from a higher layer
         return value.save(path, sources)
     content = torque_tables(value) if isinstance(value, TorqueModel) else value_file(value)
     content["meta"]["sources"] = [*content["meta"]["sources"], *sources]
@@ -390,7 +390,7 @@ def load(path: str | Path, kind: type[Any] | str | None = None) -> Any:
 
     Raises
     ------
-    ConfigError : if the file is missing, corrupted or has unknown fields; the message is one line with the location.
+    ConfigError : if the file is missing, corrupted or has unknown fields; the message states the location in one line.
     ModelMismatchError : if the file has a different kind, format or sign convention.
     """
     path = Path(path)

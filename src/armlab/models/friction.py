@@ -8,8 +8,8 @@ Friction of joint i::
 with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0. The load x is the torque that the
 joint transmits to the links (rigid body minus J^T F); it adds the gear friction ``load |x| s``.
 
-The presliding state z in [-1, 1] follows the measured displacement dq (Dahl 1968), exactly if the direction is constant
-within a step::
+The presliding state z in [-1, 1] integrates the measured displacement dq (Dahl 1968). The update is exact if the
+direction is constant within a step::
 
     z_k = s + (z_{k-1} - s) exp(-|dq_k| / delta),   s = sign(dq_k)
 
@@ -91,7 +91,7 @@ def rows_of(part: Friction | Ripple | WarmUp) -> np.ndarray:
 
 
 def _zeros() -> np.ndarray:
-    """Return a placeholder for zeros of all joints."""
+    """Return a placeholder that means zero for all joints."""
     return np.zeros(0)
 
 
@@ -265,7 +265,7 @@ class Ripple:
 
 @dataclass(frozen=True, eq=False)
 class RadialBasis:
-    """Grid of centres over position and speed for all n joints; speeds are positive and apply to both directions.
+    """Grid of centres over position and speed for all n joints; both directions of motion share the speeds.
 
     `positions`, `position_widths`: (n, P) [rad]; positions ascend, widths are positive. `speeds`, `speed_widths`:
     (n, S) [rad/s]; speeds ascend from above 0, widths are positive.
@@ -422,7 +422,7 @@ class RippleLines(Shown):
         return Drive(Friction.none(self.n).rows, Ripple.none(self.n).rows, lines=self.kernel_rows())
 
 
-# Warm-up of a drive by its own friction, without a temperature sensor.
+# Warm-up of a drive through its own friction, without a temperature sensor.
 #
 #     dx/dt = (|F_f qd| / power - x) / time
 #     coulomb: times (1 + of_coulomb x),   viscous: times (1 + of_viscous x)

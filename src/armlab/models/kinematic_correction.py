@@ -82,11 +82,11 @@ class KinematicCorrection(Shown):
         return self.robot.frames
 
     def check_robot(self, robot: Robot) -> None:
-        """Raise an error unless `robot` is the arm that was calibrated.
+        """Raise an error unless `robot` is the calibrated arm.
 
         Parameters
         ----------
-        robot : the arm before its calibration.
+        robot : the arm before calibration.
 
         Raises
         ------

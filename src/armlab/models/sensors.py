@@ -41,8 +41,8 @@ class ForceSensor(Shown):
 
     Raises
     ------
-    ShapeError : an invalid shape, rotation, mass or sign. `centre` and the moments of `bias` may be NaN after a
-        calibration with forces only; the moments of a contact are then NaN.
+    ShapeError : an invalid shape, rotation, mass or sign. After a calibration with forces only, `centre` and the
+        moments of `bias` may be NaN; contact moments are then NaN.
     """
 
     R_tool_sensor: np.ndarray

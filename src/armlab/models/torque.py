@@ -25,7 +25,7 @@ from armlab.models.uncertainty import KINDS, OF_FRICTION, MomentumNoise, Paramet
 from armlab.robots import Robot, inertia
 from armlab.robots.comparison import check_same
 
-# Motors that move several joints, as in wrists: their inertia and friction act on all of them.
+# Coupled motors, as in wrists: each motor moves several joints, so its inertia and friction act on all of them.
 #
 # Motor k rotates by ``theta_k = c_k q`` (in units of its joint), so power conservation gives::
 #
@@ -74,7 +74,7 @@ class CoupledMotors:
 
 
 class CoupledKernel:
-    """Estimator kernel with the torques of coupled motors removed from its input.
+    """Estimator kernel whose torque input excludes the torques of coupled motors.
 
     The acceleration is computed from the velocity difference to the last valid sample, as in the kernel itself.
 
@@ -219,7 +219,7 @@ class TorqueModel(Shown):
     coupled : motors that move several joints, or None.
     parameters : covariance of all parameters, which widens the torque covariance outside the identified motion; or
         None.
-    quasi_static : True for only gravity, friction and offset, without torques from link velocities or accelerations.
+    quasi_static : True if the model contains only gravity, friction and offset, without torques from link motion.
     """
 
     robot_name: str
@@ -330,7 +330,7 @@ class TorqueModel(Shown):
 
     @property
     def _weights(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return gravity and link parameters for the kernels; if quasi-static, without torques from motion."""
+        """Return gravity and link parameters for the kernels, without torques from motion if quasi-static."""
         share = WEIGHTLESS if self.quasi_static else 1.0
         return self.gravity / share, share * self.link_parameters
 
@@ -354,8 +354,8 @@ class TorqueModel(Shown):
     def moved_to(self, robot: Robot) -> TorqueModel:
         """Return the model with the frames, gravity and name of another description of the arm (tool, mount, limits).
 
-        Identified parameters are kept. This is exact for limits, tool and names. For a mount, it is exact as far as the
-        motion determined all inertial parameters. It is wrong if the link lengths differ.
+        Identified parameters are kept. The result is exact if only limits, tool or names differ. With a different
+        mount, it is exact only if the motion determined all inertial parameters. It is wrong if link lengths differ.
 
         Parameters
         ----------
@@ -498,7 +498,7 @@ class TorqueModel(Shown):
 
     @property
     def _gain_variance(self) -> float:
-        """Return the variance of the mean gain over joints with a gain variance: the common error of all forces."""
+        """Return the variance of the mean of all uncertain gains, which is the scale error common to all forces."""
         return float(np.sum(self.gain_cov) / max(np.count_nonzero(np.diag(self.gain_cov)), 1) ** 2)
 
     @property

@@ -114,8 +114,8 @@ class MomentumNoise:
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
     standard deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque
-    covariance for a 2-sigma coverage of 95.4 % on held-out data. The first refers to the observer's residual. The
-    second refers to the Kalman filter's wrench after a known wrench is added to the torques, and is at least 1.
+    covariance for a 2-sigma coverage of 95.4 % on held-out data. The observer's factor refers to its residual. The
+    filter's factor is at least 1 and refers to its wrench after a known wrench is added to the torques.
     """
 
     memory: np.ndarray
@@ -137,7 +137,7 @@ class MomentumNoise:
             )
 
 
-# Covariance of the parameters, whose effect on the torque grows with the distance of a motion from the identified one:
+# Covariance of the parameters. Its effect on the torque grows as a motion departs from the identified one:
 #
 #     var(tau_i) = w_i C w_i^T,   w_i the row of the regressor and of the friction of joint i
 
@@ -149,10 +149,10 @@ OF_FRICTION = 7  # parameters per joint
 class ParameterCovariance:
     """Covariance of the identified parameters for given gains, including drift until the next log.
 
-    The estimator adds its torque variance beyond the `mean` (n,) [(N m)^2] on the identified motion, which the torque
-    covariance contains. `columns`: (P,) column of each parameter among those of the links (10 n), of the rotors (n),
-    and of the friction of each joint (7 n): viscous, Coulomb of either direction, offset, Stribeck, root, load.
-    `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
+    The estimator adds the torque variance that exceeds the `mean` (n,) [(N m)^2] on the identified motion, because the
+    torque covariance already contains the mean. `columns`: (P,) column of each parameter among those of the links
+    (10 n), of the rotors (n), and of the friction of each joint (7 n): viscous, Coulomb of either direction, offset,
+    Stribeck, root, load. `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
     """
 
     columns: np.ndarray

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MAX_STEP = 0.004
 """Longest integration step [s]."""
 MAX_GAP = 0.05  # longest time between two packets [s]
-_SLACK = 0.02  # fraction of a step by which dt may exceed it
+_SLACK = 0.02  # fraction by which a step may exceed MAX_STEP
 NEAR, SLOW = 0.01, 0.02  # rad or m, and rad/s or m/s: arrival tolerances
 SETTLING_TIME = 0.1  # s: required time within both tolerances
 LIMITS = ("q_min", "q_max", "qd_max", "qdd_max")
@@ -52,8 +52,8 @@ class Controller(ABC):
 
     It starts at rest from the measured position whenever a robot session begins. Time advances by the interval between
     packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is not made up later.
-    The controller holds at the goal, because the goal may change. The run ends after a gap of more than 50 ms between
-    packets, or if the start position contains NaN; `reason` states the cause.
+    After arrival, the controller keeps running, because the goal may change. The run ends after a gap of more than
+    50 ms between packets, or if the start position contains NaN; `reason` states the cause.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Controller(ABC):
     done : whether the motion has ended and the arm has been slow and near the goal for 0.1 s, ignoring NaN.
     frozen : whether the path is paused because the arm is too far from it.
     clamped : (n,) limits that clipped this reference: bits 1 position, 2 velocity, 4 acceleration, 8 braking.
-    reason : cause of the end of the run; "" during the run.
+    reason : why the run ended; "" during the run.
     """
 
     frozen: bool
@@ -206,7 +206,7 @@ class Controller(ABC):
         return sent[0], sent[2]
 
     def _check_arrival(self, state: State, dt: float) -> None:
-        if np.isnan(_largest(state.q) + _largest(state.qd)):  # a lost measurement is no evidence of arrival
+        if np.isnan(_largest(state.q) + _largest(state.qd)):  # a lost measurement does not prove arrival
             return
         rests = self._is_over and self._is_near(state) and _largest(state.qd) < SLOW
         self._rested = self._rested + dt if rests else 0.0
@@ -237,7 +237,7 @@ def robots_of(robot: Arms) -> tuple[Robot, ...]:
 
 
 def _largest(values: np.ndarray) -> float:
-    return float(np.maximum.reduce(np.abs(values)))  # half the time of max() on small arrays, and propagates NaN
+    return float(np.maximum.reduce(np.abs(values)))  # twice as fast as max() on small arrays; propagates NaN
 
 
 def steps_in(dt: float) -> int:
@@ -258,7 +258,7 @@ def at_pace(state: Sequence[np.ndarray], pace: Pace) -> tuple[np.ndarray, np.nda
 
 
 def check_joints(robot: Arms, n: int) -> None:
-    """Raise unless the n coordinates of a motion match the total number of joints of all arms."""
+    """Raise an error unless the n coordinates of a motion match the total number of joints of all arms."""
     arms = robots_of(robot)
     joints, names = sum(arm.n for arm in arms), " and ".join(arm.name for arm in arms)
     if n != joints:

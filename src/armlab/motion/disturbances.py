@@ -109,7 +109,7 @@ class Displace(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoDofRun(Shown):
-    """Simulated or recorded run at N times; at the time of an event, the values are those before the event.
+    """Simulated or recorded run at N times; at the time of an event, values are from just before the event.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ class _EventSequence:
         return y
 
     def advance(self, law: Any, now: float, y: np.ndarray, span: float, steps: int) -> np.ndarray:
-        """Return the state after an interval without the start or end of an event."""
+        """Return the state after an interval in which no event starts or ends."""
         driven = np.full(law.n, np.nan)
         for t0, t1, velocity in self._pushes:
             if t0 <= now < t1:

@@ -38,7 +38,7 @@ class Dmp(Equation, Saved, kind="dmp"):
     extent : (n,) range of the demonstration.
     peak_acceleration : (n,) largest acceleration of the demonstration.
     monotone : (n,) whether the coordinate never reversed.
-    alpha_z, beta_z, alpha_x : constants of the spring and of the phase.
+    alpha_z, beta_z, alpha_x : spring and phase constants.
     schedule : "canonical", "time" or "position".
     scaling : scaling of the forcing: "goal", "none", "amplitude" or "rotate".
     convention : choice of alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the
@@ -256,21 +256,21 @@ class DmpController(Controller):
 
 
 FINE = 4000  # minimum number of response steps over a duration
-GRID = 401  # number of times at which the change of the path is measured
-RIDGE = 1e-7  # relative to the largest singular value: weight directions without effect on the path stay unchanged
-SAME = 1e-10  # smallest eigenvalue of independent via-points
-MAX_ITERATIONS = 3  # iterations that refine the last digits
+GRID = 401  # number of times at which the path change is evaluated
+RIDGE = 1e-7  # relative to the largest singular value; keeps weight directions without effect on the path unchanged
+SAME = 1e-10  # minimum eigenvalue of the correlation matrix of linearly independent via-points
+MAX_ITERATIONS = 3  # iterative refinement of the last digits
 
 
 def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
-    """Return the primitive, changed as little as possible to reach positions or velocities at given times.
+    """Return the primitive, changed as little as possible to reach given positions or velocities at given times.
 
     The motion is linear in the weights, so via-points are linear constraints ``C dw = c``. Among all solutions, the
     change with the smallest ``sum |dy|^2`` over the duration is selected. The motion with the start, goal and duration
     of the demonstration passes through the points; other motions are scaled from it.
 
-    If a velocity is given at the goal and the end time, the motion does not end at rest. In that case, continue with
-    `profiles.quintic` or another primitive. Otherwise the motion returns to the goal and settles.
+    With a velocity at the goal and the end time, the motion does not end at rest: continue with `profiles.quintic` or
+    another primitive. Otherwise the motion returns to the goal and settles.
 
     Parameters
     ----------

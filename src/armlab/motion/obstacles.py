@@ -91,7 +91,7 @@ class AvoidingDmp(Shown):
     obstacles : obstacles in the coordinates of the motion, or in base axes for a robot.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].
-    form : law of avoidance, "steering" or "potential".
+    form : avoidance law, "steering" or "potential".
     robot : the arm.
     tool : capsule of the tool, in tool axes; default: the tool point.
     links : capsules around the links, keyed by link number from 1, in the axes of `kinematics.link_transforms`.
@@ -229,7 +229,7 @@ class AvoidingDmp(Shown):
         return run, around
 
     def _check_clear(self, name: str, y: np.ndarray, around: Any) -> None:
-        """Raise if the start or the goal is within the clearance of the current obstacles."""
+        """Raise an error if the start or the goal is within the clearance of the current obstacles."""
         if not (least := float(around.distance(y))) > self.clearance:
             raise ShapeError(
                 f"Expected the {name} outside the clearance of every obstacle, got a distance of {least:.4g} m. Move "
@@ -299,9 +299,7 @@ class AvoidingController(DmpController):
         self, avoiding: AvoidingDmp, settings: RunOptions, limits: JointLimits | Sequence[JointLimits] | None = None
     ) -> None:
         if avoiding.robot is None:
-            raise ConfigError(
-                "Expected an AvoidingDmp of the joints of a robot, got a Cartesian AvoidingDmp. Pass robot=..."
-            )
+            raise ConfigError("Expected an AvoidingDmp in joint space, got a Cartesian AvoidingDmp. Pass robot=...")
         super().__init__(avoiding.robot, avoiding, settings, limits)
 
     def place(self, obstacles: Iterable[Capsule]) -> None:

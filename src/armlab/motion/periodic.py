@@ -25,7 +25,7 @@ from armlab.state import State
 GRID = 1024  # phases per period: resolves harmonics up to 512
 
 MAX_CONDITION = 1e11
-DETERMINED = 1e4  # condition number beyond which the motion between samples is not determined
+DETERMINED = 1e4  # condition number above which the motion between samples is not determined
 NEXT = 2.0  # largest gap between samples, in kernel spacings, that still determines every kernel
 NEGLIGIBLE = 1e-18  # fraction of the largest harmonic below which harmonics are dropped
 
@@ -123,7 +123,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     def _start_state(
         self, period: float | None, g: ArrayLike | None, r: float, y0: Any, v0: Any, phase: float
     ) -> Start:
-        """Return time constant, position, velocity, baseline and scale of a run; default: steady state."""
+        """Return time constant, position, velocity, baseline and scale of a run; default start: steady state."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, size = self.g if g is None else vector(g, "g", self.n), amplitude(r)
         y, rate = self.steady(number(phase, "phase [rad]"))
@@ -330,7 +330,7 @@ def fit_periodic_dmp(
     ----------
     t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : period [s]. An error of 1 % spoils a fit to ten periods. Try several values and keep the one with the
+    period : period [s]. An error of 1 % ruins a fit to ten periods: try several values and keep the one with the
         smallest `sigma`.
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
@@ -380,7 +380,7 @@ def fit_periodic_dmp(
 
 
 def _check_seen(phi: np.ndarray, triangle: np.ndarray) -> None:
-    """Raise if part of the period has no samples that determine the weights."""
+    """Raise an error if part of the period has no samples and weights are therefore undetermined."""
     m = len(triangle)
     turns = np.sort(phi / (2 * np.pi) % 1.0)
     ends = np.append(turns[1:], turns[0] + 1.0)
@@ -409,7 +409,7 @@ def _responses(blank: PeriodicDmp, phi: np.ndarray) -> np.ndarray:
     spectrum[1 : GRID // 2] *= 2.0
     turns = np.ones((last + 1, len(phi)), dtype=complex)
     turns[1:] = np.exp(1j * phi)
-    np.cumprod(turns, axis=0, out=turns)  # ten times faster than sines
+    np.cumprod(turns, axis=0, out=turns)  # ten times faster than evaluating sines
     return (turns.T @ spectrum[: last + 1]).real
 
 

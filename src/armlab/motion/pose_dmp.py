@@ -86,8 +86,8 @@ class PoseDmp(Saved, kind="pose_dmp"):
     rotation : primitive of the rotation vector from the goal, in base axes [rad]. y0 rotates the goal to the start, and
         g is 0.
     goal : (4,) orientation wxyz at the end of the demonstration.
-    frame : axes of the forcing: "base", or "goal", which rotates with the goal, so that moving start and goal together
-        moves the whole path.
+    frame : axes of the forcing, "base" or "goal". Goal axes rotate with the goal: moving start and goal together moves
+        the whole path.
 
     Raises
     ------
@@ -263,11 +263,11 @@ class PoseStepper:
         self._rotation.start(*self._first.turning[1:], at.tau)
 
     def change_goal(self, goal: ArrayLike) -> None:
-        """Change the goal pose; both forcings are scaled as if it had been the goal from the start."""
+        """Change the goal pose; both forcings are scaled as if the goal had been set from the start."""
         if self._dmp.frame == "goal":
             raise ConfigError(
-                "Expected a forcing in base axes to change the goal, got a forcing in the axes of the goal. Start "
-                "again from the current pose, or use frame='base'."
+                "Expected a forcing in base axes to change the goal, got a forcing in goal axes. Start again from "
+                "the current pose, or use frame='base'."
             )
         first = self._first
         start = matrix(first.position.y0, first.q0)
@@ -396,7 +396,7 @@ def orientation(value: ArrayLike, what: str) -> np.ndarray:
 
 
 def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) of the shorter rotation between orientations, base axes; raise at half a turn."""
+    """Return the rotation vector (3,) of the shorter rotation, base axes; half a turn raises an error."""
     way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
     if np.linalg.norm(way) > np.pi - HALF_TURN:
         raise ShapeError(
@@ -446,7 +446,7 @@ def fit_pose_dmp(
     frame: str = "base",
     hold: float = 0.3,
 ) -> Fit[PoseDmp]:
-    """Fit a movement primitive of poses whose motion is as close as possible to one demonstration.
+    """Fit a movement primitive of poses to one demonstration by least squares of the motion error.
 
     The position is fitted by `fit_dmp`. The orientation is fitted by Gauss-Newton steps that minimise ``sum |log(q_demo
     q^-1)|^2``, starting from a fit to the rotation vector relative to the goal.
@@ -457,7 +457,7 @@ def fit_pose_dmp(
     T : (N, 4, 4) poses, or (N, 7): position and quaternion wxyz, each of either sign.
     n_basis, schedule, convention, hold : as in `fit_dmp`; schedule "position" is not supported.
     scaling : scaling of the forcing with start and goal: "goal", "none" or, for the position, "rotate".
-    frame : axes of the forcing: "base", or "goal", which rotates with the goal.
+    frame : axes of the forcing, "base" or "goal"; goal axes rotate with the goal.
 
     Returns
     -------
@@ -466,8 +466,8 @@ def fit_pose_dmp(
 
     Raises
     ------
-    ShapeError : invalid poses, NaN (with row numbers), times that do not increase, an orientation half a turn from the
-        last.
+    ShapeError : invalid poses, NaN (with row numbers), times that do not increase, an orientation more than 3 rad from
+        the last.
     UnknownName : unknown options.
     ConfigError : schedule "position".
     NotConverged : Gauss-Newton did not converge.
@@ -529,17 +529,18 @@ def _report(fit: Fit[PoseDmp]) -> str:
     rmse = np.sqrt(squares.sum(axis=2).mean(axis=0))
     head = (
         f"Movement primitive of poses with {value.position.n_basis} kernels, schedule {value.position.schedule!r}, "
-        f"scaling {value.position.scaling!r}, forcing in the axes of the {value.frame}."
+        f"scaling {value.position.scaling!r}, forcing in {value.frame} axes."
     )
     return "\n".join([head, f"RMSE of the motion: {rmse[0]:.3g} m, {rmse[1]:.3g} rad", fit.table()])
 
 
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> tuple[Dmp, np.ndarray, np.ndarray]:
-    """Refine weights and start velocity until the motion is as close as possible to orientations q (N, 4).
+    """Refine weights and start velocity by least squares of the motion error at orientations q (N, 4).
 
     Gauss-Newton steps on the rotation group use the linearised equation of docs/theory/pose_dmp.md. `hold` is the
-    standstill at the goal, relative to the duration. Return the primitive, residuals (N, 3) [rad] and covariances (3,
-    d, d) of weights, start rotation, velocity and goal rotation, for samples with unit variance around each base axis.
+    standstill time at the goal divided by the duration. Return the primitive, residuals (N, 3) [rad] and covariances
+    (3, d, d) of weights, start rotation, velocity and goal rotation, for samples with unit variance about each base
+    axis.
     """
     step = dmp.duration / (len(t) - 1)
     rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)
@@ -617,7 +618,7 @@ def _slopes(dmp: Dmp, times: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def _spread(gain: np.ndarray, slopes: np.ndarray, N: int) -> np.ndarray:
-    """Return the covariances of the unknowns and of the pinned start and goal for unit noise around each axis.
+    """Return the covariances of the unknowns and of the pinned start and goal for unit noise about each axis.
 
     Start and goal are noisy samples that shift every row; the arm rests at the goal.
     """

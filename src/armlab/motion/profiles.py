@@ -1,16 +1,16 @@
 """Time-parameterised trajectories from point to point and through points.
 
-Every profile consists of polynomial segments with continuous position and velocity; `Profile` contains the segments and
+Every profile consists of polynomial segments with continuous position and velocity; `Profile` stores the segments and
 samples. All joints start and end together. Positions are in rad or m, times in s.
 
 =========================  ============================================  ============
 profile                    inputs                                        continuous
 =========================  ============================================  ============
 `minimum_jerk`, `quintic`  duration                                      acceleration
-`trapezoidal`              limits of velocity and acceleration           velocity
-`blend`, `connect`         duration, points with standstill at each      velocity
+`trapezoidal`              velocity and acceleration limits              velocity
+`blend`, `connect`         duration, points with rest at each            velocity
 `spline`                   points and their times                        acceleration
-`time_optimal`             limits of velocity, acceleration and jerk     acceleration
+`time_optimal`             velocity, acceleration and jerk limits        acceleration
 =========================  ============================================  ============
 """
 
@@ -144,7 +144,7 @@ def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt
     ----------
     q0, q1 : (n,) start and end.
     duration : duration of the motion [s].
-    cruise : cruise velocity over mean velocity, above 1, at most 2.
+    cruise : ratio of cruise velocity to mean velocity, above 1 and at most 2.
     dt : sampling period [s].
 
     Raises
@@ -223,7 +223,7 @@ def time_optimal(
 ) -> Profile:
     """Return the fastest motion within velocity, acceleration and jerk limits; all joints arrive together.
 
-    The slowest joint takes its minimum time, and the other joints take the same time. The path is not a straight line.
+    The slowest joint moves in minimum time, and the other joints take the same time. The path is not a straight line.
 
     Parameters
     ----------

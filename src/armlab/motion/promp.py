@@ -19,10 +19,10 @@ from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised
 from armlab.motion.storage import Saved, freeze_arrays
 
-UNLIKELY = 1e-6  # relative distance beyond which a point is outside the distribution
+UNLIKELY = 1e-6  # relative distance above which a point is outside the distribution
 
 SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance are fixed
-FLOOR = 1e-6  # fraction of the mean variance, used along directions without variation between demonstrations
+FLOOR = 1e-6  # fraction of the mean variance added to every direction, because some may have no variation
 
 FEWEST = 2  # minimum number of demonstrations
 WIDTH = 0.8  # standard deviation of the kernels divided by their spacing
@@ -168,8 +168,8 @@ class ProMP(Saved, kind="promp"):
     ) -> ProMP:
         """Return the distribution conditioned on a position or velocity at a time.
 
-        ``K = cov H^T (H cov H^T + R)^-1``, ``mean + K (z - H mean)``, ``cov - K H cov``. Without a covariance of the
-        point, all motions pass through the point exactly, provided that the demonstrations vary there.
+        ``K = cov H^T (H cov H^T + R)^-1``, ``mean + K (z - H mean)``, ``cov - K H cov``. Without a point
+        covariance, all motions pass exactly through the point, provided that the demonstrations vary there.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class ProMP(Saved, kind="promp"):
                 "the demonstrations. Pass a covariance of the point, or use more demonstrations."
             )
         gain = H_cov.T @ ((vectors[:, free] / values[free]) @ vectors[:, free].T)
-        cov = self.cov - gain @ H_cov - (H_cov.T - gain @ S) @ gain.T  # Joseph's form, multiplied out
+        cov = self.cov - gain @ H_cov - (H_cov.T - gain @ S) @ gain.T  # Joseph form, expanded
         mean = (w + gain @ off).reshape(self.n, -1).T
         return ProMP(mean, 0.5 * (cov + cov.T), self.centres, self.widths, self.duration, self.noise)
 
@@ -279,7 +279,7 @@ def blend(
 ) -> TrajectoryDistribution:
     """Blend primitives by the normalised product of their distributions, each raised to the power of its activation.
 
-    Time-varying activations blend from one motion into the next; constant activations intersect the motions.
+    Time-varying activations blend one motion into the next; constant activations combine all motions.
 
     ``cov = (sum a_k cov_k^-1)^-1``, ``y = cov sum a_k cov_k^-1 y_k``, for position and velocity jointly.
 
@@ -339,10 +339,10 @@ def _joint(primitive: ProMP, t: np.ndarray, duration: float | None) -> tuple[np.
 def fit_promp(
     t: ArrayLike | Sequence[ArrayLike], y: ArrayLike | Sequence[ArrayLike], *, n_basis: int = 15
 ) -> Fit[ProMP]:
-    """Fit the mean and covariance of the weights of M demonstrations, separating them from measurement noise.
+    """Fit the mean and covariance of the weights to M demonstrations, separated from measurement noise.
 
-    The covariance is the variation of the weights between demonstrations in excess of their noise. In the mean, each
-    demonstration is weighted according to both variances (docs/theory/promp.md).
+    The covariance is the weight variation between demonstrations that measurement noise does not explain. In the mean,
+    each demonstration is weighted by the inverse sum of both covariances (docs/theory/promp.md).
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ def fit_promp(
     widths = np.full(n_basis, WIDTH / (n_basis - 1))
     names, n, of = [f"weight {j}" for j in range(n_basis)], demos[0].y.shape[1], {}
     clocks = [demo.t.tobytes() for demo in demos]
-    for clock_, demo in dict(zip(clocks, demos)).items():  # demonstrations usually share a clock
+    for clock_, demo in dict(zip(clocks, demos)).items():  # demonstrations often share a clock
         psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
         of[clock_] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
     excitations, designs, inverses = zip(*(of[one] for one in clocks))

@@ -21,14 +21,14 @@ from armlab.motion.dmp import Dmp, DmpController
 from armlab.motion.primitive.run import Rollout, RunOptions
 
 PEAK_STEPS = 4000  # samples over a duration in the search for peaks
-FINER = 20  # subdivisions of a step at the peak acceleration, which many kernels make too sharp for a parabola
+FINER = 20  # subdivisions of a step near the peak acceleration; with many kernels, the peak is too sharp for a parabola
 AFTER = 0.5  # settling time, as a fraction of the duration
 
 KNOTS = 2000  # knots of the clock rate over a duration
 MARGIN = 1e-6  # margin for the errors of parabolic interpolation between samples
 PARTS = 4  # points per interval between knots at which limits are checked
 
-BISECTIONS = 45  # for the largest squared rate at a knot, to a relative error of 3e-14
+BISECTIONS = 45  # give the largest squared rate at a knot to a relative error of 3e-14
 
 
 def shortest_duration(
@@ -282,7 +282,7 @@ class PacedStepper:
         return self._inner.goal
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Change the goal without changing the clock rate; the limits of the plan are no longer guaranteed."""
+        """Change the goal without changing the clock rate; the planned limits are no longer guaranteed."""
         self._inner.change_goal(g)
 
 
@@ -318,7 +318,7 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
 
 def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
-    """Return the largest z (M,) with a feasible next z, considering only the inequalities of the same interval."""
+    """Return the largest z (M,) with a feasible next z under the inequalities of the same interval only."""
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(b != 0.0, 1.0 / b, 0.0)
     flat, rises, falls = b == 0.0, b > 0.0, b < 0.0

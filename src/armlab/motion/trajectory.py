@@ -27,7 +27,7 @@ GOAL_TIME = 2.0
 _SENT = 1e-6  # largest distance between the last reference and the goal [rad or m]
 _REST = 1e-3  # largest speed at the last point [rad/s or m/s]
 _PARTS = 16  # subdivisions of a segment at which limits are checked
-_SPARE = 1.0 + 1e-3  # accepted fraction of the speed limit
+_SPARE = 1.0 + 1e-3  # accepted speed relative to the speed limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,7 +58,7 @@ class JointTrajectory(Shown):
     """Points of a motion at given times, such as a ``trajectory_msgs/JointTrajectory``.
 
     Between points, the motion is a polynomial: linear for positions only, cubic with velocities, quintic with
-    velocities and accelerations. A first point after time 0 is reached from the position at the start.
+    velocities and accelerations. If the first point is after time 0, the motion begins at the current position.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class JointTrajectory(Shown):
     q : (N, n) positions [rad or m].
     qd : (N, n) velocities [rad/s or m/s], zero at the last point; default: linear interpolation.
     qdd : (N, n) accelerations [rad/s^2 or m/s^2]; default: linear or cubic interpolation.
-    joints : names of the columns, in any order; default: the order of the robot.
+    joints : names of the columns, in any order; default: the joint order of the robot.
 
     Raises
     ------
@@ -162,9 +162,9 @@ class JointTrajectory(Shown):
         return replace(self, q=q, qd=qd, qdd=qdd, joints=tuple(joints))
 
     def check(self, limits: JointLimits) -> None:
-        """Raise if the motion between the points exceeds position or speed limits.
+        """Raise an error if the motion exceeds position or speed limits, including between points.
 
-        Accelerations are not checked, because the limits of the robot are applied to every reference.
+        Accelerations are not checked, because the robot's limits are applied to every reference.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class JointTrajectory(Shown):
 
         Raises
         ------
-        ShapeError : a position or speed is outside the limits; the message states its joint and time.
+        ShapeError : a position or speed is outside the limits; the message states the joint and the time.
         """
         if len(self.t) == 1:
             places, speeds, times = self.q[None], None, self.t[None]
@@ -281,7 +281,7 @@ class TrajectoryController:
         ----------
         state : state of the arm.
         near : largest allowed distance between the arm and a first point at time 0, a number or (n,) [rad or m].
-        is_moving : whether the arm already follows references, so that the motion continues from the last reference
+        is_moving : whether the arm already follows references; the motion then continues from the last reference
             instead of starting at rest.
         """
         trajectory, self._session = self._trajectory, state.session
@@ -347,7 +347,7 @@ class TrajectoryController:
             self._enter(int(np.searchsorted(t, self.t, side="right")) - 1)
 
     def _enter(self, k: int) -> None:
-        """Enter the segment after point k; after the last point, stay there."""
+        """Enter the segment after point k; hold at the last point."""
         trajectory = self._trajectory
         self._from, self._k = float(trajectory.t[k]), k + 1
         if self._k == len(trajectory.t):

@@ -38,11 +38,11 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     ----------
     dmp : the primitive, or the result of `fit_dmp`.
     kp, kv : position gain [1/s^2] and velocity gain [1/s].
-    kc : gain of the slow-down.
-    alpha_e : rate of the error filter [1/s].
+    kc : slow-down gain.
+    alpha_e : error filter rate [1/s].
     e0 : dead zone, one number or (n,), in the unit of y.
     e_scale : error that is normalised to 1, with the same shape as e0.
-    e_max : normalised error |ya - yc| / e_scale that pauses the path until it is below 0.8 e_max.
+    e_max : normalised error |ya - yc| / e_scale above which the path pauses, until the error is below 0.8 e_max.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     ) -> TwoDofRun:
         """Simulate an arm with perfect tracking, ``ya'' = ya_ref''``, under disturbances.
 
-        The integration method has order 4, and a step ends at every event.
+        Integration is of fourth order; a step ends at every event.
 
         Parameters
         ----------
@@ -200,8 +200,8 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         ----------
         robot, limits : as in `Dmp.controller`.
         duration, g, amplitude : as in `Dmp.rollout`.
-        give_way : function of the State that returns the acceleration (n,) added to the reference by a contact, for an
-            arm that is not itself compliant. Example: ``lambda state: J(state.q).T @ force(state) / inertia``.
+        give_way : function of the State that returns the acceleration (n,) due to contact, added to the reference, for
+            an arm that is not itself compliant. Example: ``lambda state: J(state.q).T @ force(state) / inertia``.
 
         Raises
         ------

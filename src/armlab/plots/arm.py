@@ -1,4 +1,4 @@
-"""Figures of an arm in space: stick figure, workspace and manipulability ellipsoids."""
+"""3D figures of an arm: stick figure, workspace and manipulability ellipsoids."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
 _STICK = "#333333"
-_FAINT = 8  # largest number of configurations drawn in addition to the last configuration
+_FAINT = 8  # maximum number of configurations drawn besides the last one
 _CORNERS = 20  # corners of a joint's cylinder
-_UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # length and radius of a joint, length of a frame, relative to the arm
+_UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # joint length and radius, frame length; relative to the arm
 
 
 def robot(
@@ -34,16 +34,16 @@ def robot(
     """Draw an arm as a stick figure, with revolute joints as cylinders and prismatic joints as boxes along their axes.
 
     Links follow the joint axes and their common normals through the origins of the link frames. A dashed line connects
-    base and mount. Each joint has the same colour in all figures.
+    the base and the mount. Each joint has the same colour in all figures.
 
     Parameters
     ----------
     robot : the arm.
-    q : configuration (n,), or configurations (N, n). The last one is drawn in full, and up to eight others, evenly
-        spaced, are drawn as faint lines. Default: home posture.
-    path : draw the path of the tool through all N configurations.
+    q : configuration (n,), or configurations (N, n). The last one is drawn in full, and up to eight evenly spaced
+        others as faint lines. Default: home posture.
+    path : draw the tool path through all N configurations.
     frames : draw the base, flange and tool frames.
-    ax : three-dimensional Axes to draw into, for example with another arm; default: a new figure.
+    ax : 3D Axes to draw into, for example with another arm; default: a new figure.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def robot(
 
     Raises
     ------
-    ShapeError : q has the wrong shape, is empty or not finite; `ax` is not three-dimensional.
+    ShapeError : q has the wrong shape, is empty or not finite, or `ax` is not three-dimensional.
     RobotError : `robot` is not a Robot, for example a name.
     """
     q = configurations(robot, q)
@@ -87,7 +87,7 @@ def stick(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Return the corners (N, 3) of the stick figure at q (n,) in base axes [m]: mount, joints, link corners, tool."""
     T, tool = link_transforms(robot, q), forward(robot, q)
     points = [robot.T_base_mount[:3, 3]]
-    axis = np.zeros(3)  # the mount has no axis, so the first link ends at the nearest point of axis 1
+    axis = np.zeros(3)  # the mount has no axis: the first link ends at the nearest point on axis 1
     for i in range(robot.n):
         origin, z = T[i, :3, 3], T[i, :3, 2]
         start = origin - q[i] * z if robot.prismatic[i] else origin  # start of the prismatic joint
@@ -130,7 +130,7 @@ def _prism(T: np.ndarray, length: float, radius: float, corners: int) -> np.ndar
 
 
 def _frames(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
-    """Draw the base, flange and tool frames; without a tool, flange and tool coincide."""
+    """Draw the base, flange and tool frames; without a tool, the flange and tool frames coincide."""
     length = _UNIT["frame"] * arm_length(robot)
     T_base_tool = forward(robot, q)
     space.frame(ax, np.eye(4), length, "base")
@@ -143,21 +143,22 @@ _CLOUD = JOINT_STYLES[5][0]  # light, so that the arm stays visible
 
 
 def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = None) -> Figure:
-    """Draw the workspace of the tool point in a side view (x, z), a top view (x, y) and in space, with the arm at home.
+    """Draw the workspace of the tool point in side view (x, z), top view (x, y) and 3D, with the arm at home.
 
-    Joint positions are sampled uniformly within the limits. The point cloud is therefore sparse in regions that few
-    configurations reach, and the true workspace extends slightly beyond it. Continuous joints cover one revolution.
+    Joint positions are sampled uniformly within the limits, and over one revolution for continuous joints. The point
+    cloud is therefore sparse in regions that few configurations reach, and the actual workspace extends slightly beyond
+    it.
 
     Parameters
     ----------
     robot : the arm.
     points : number of random configurations.
     seed : random seed; equal seeds give equal point clouds.
-    ax : three Axes, the last of them three-dimensional; default: a new figure.
+    ax : three Axes, of which the last is three-dimensional; default: a new figure.
 
     Returns
     -------
-    The Figure. Its first title gives the name of the robot, and the smallest and largest distance of the tool from the
+    The Figure. Its first title gives the name of the robot, and the minimum and maximum distances of the tool from the
     mount.
 
     Raises
@@ -177,7 +178,7 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
             panel.plot(p[:, i], p[:, j], ".", markersize=0.8, color=_CLOUD, alpha=0.35, rasterized=True, gid="cloud")
             panel.plot(arm[:, i], arm[:, j], color="black", linewidth=2.0, solid_joinstyle="round", gid="arm")
             panel.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
-            panel.set_aspect("equal", adjustable="datalim")  # panels of equal height
+            panel.set_aspect("equal", adjustable="datalim")  # keeps panels at equal height
         side.set_title(f"{robot.name}\ntool {reach.min():.2f} to {reach.max():.2f} m from the mount")
         top.set_title(f"{points} random configurations")
         solid.scatter(*p.T, s=0.6, color=_CLOUD, alpha=0.25, depthshade=False, rasterized=True, gid="cloud")
@@ -218,11 +219,11 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
     grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.5))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))
-    solid.set_anchor("W")  # leaves room for the z label at the right
+    solid.set_anchor("W")  # leaves room for the z label on the right
     return figure, (side, top, solid)
 
 
-_SIZE = 0.22  # largest half-axis in the figure, relative to the length of the arm
+_SIZE = 0.22  # longest half-axis drawn, relative to the arm length
 _MOST = 8
 _UNITS = {"position": ("v", "m/s"), "rotation": ("w", "rad/s")}
 
@@ -232,7 +233,7 @@ _draw = robot  # alias for functions with a parameter named robot
 def manipulability(
     robot: Robot, q: ArrayLike | None = None, part: Literal["position", "rotation"] = "position", *, ax: Any = None
 ) -> Axes3D:
-    """Draw the velocity ellipsoid of the tool: the tool velocities for all joint velocities of norm 1.
+    """Draw the velocity ellipsoid of the tool: the set of tool velocities for all joint velocities with norm 1.
 
     The ellipsoid is ``{J qd : |qd| = 1}``; see `kinematics.ellipsoid` and `kinematics.manipulability`. Along a short
     axis, the tool moves slowly and can exert large forces.
@@ -240,10 +241,10 @@ def manipulability(
     Parameters
     ----------
     robot : the arm.
-    q : configuration (n,), or configurations (N, n); at most eight of them, evenly spaced, are drawn. Default: home
+    q : configuration (n,), or configurations (N, n), of which at most eight, evenly spaced, are drawn. Default: home
         posture.
     part : "position" for the velocity of the tool point, or "rotation" for the angular velocity.
-    ax : three-dimensional Axes to draw into; default: a new figure.
+    ax : 3D Axes to draw into; default: a new figure.
 
     Returns
     -------
@@ -268,7 +269,7 @@ def manipulability(
         letter, unit = _UNITS[part]
         numbers = ", ".join(f"{x:.3g}" for x in found.lengths[-1])
         panel.set_title(
-            f"{letter} for joint speeds |qd| = 1: half axes {numbers} {unit}\n"
+            f"{letter} for joint speeds |qd| = 1: half-axes {numbers} {unit}\n"
             f"manipulability {kinematics.manipulability(robot, q[-1], part):.3g}; scale: 1 {unit} = {scale:.2g} m"
         )
         space.equal_scale(panel)

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 _SINGLE = ("distance", "pair distance", "point", "line")  # noise classes with one number per sample
 _EDGE = 0.03  # margin beside the first and last marker, relative to the width
-_MOST = 3  # largest number of ellipses
+_MOST = 3  # maximum number of ellipses
 
 
 def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -> Figure:
-    """Draw the residuals per sample, a quantile plot, the 2-sigma ellipses and the excitation of a calibration.
+    """Plot the residuals of each sample, their quantiles, the 2-sigma ellipses and the excitation of a calibration.
 
-    Residuals are in units of the standard deviation of their noise class. A straight quantile plot indicates normally
-    distributed residuals. The 2-sigma ellipse of two parameters covers a probability of 86 %.
+    Residuals are divided by the standard deviation of their noise class. A straight quantile plot indicates normally
+    distributed residuals. The 2-sigma ellipse of two parameters contains 86 % of the probability.
 
     Parameters
     ----------
     fit : from a `fit_*` function of `calibrate`. A fit loaded from a file has no residuals, so only the last two panels
         are drawn.
-    truth : true parameters (d,), if known, which are drawn as crosses in the ellipses.
+    truth : true parameters (d,), if known, drawn as crosses in the ellipses.
     ax : four Axes, or two for a loaded fit; default: a new figure.
 
     Returns
@@ -60,7 +60,7 @@ def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -
 
 
 def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
-    """Return the residuals (N, k) of each noise class in units of its standard deviation."""
+    """Return the residuals (N, k) of each noise class, divided by its standard deviation."""
     rows = fit.residuals.reshape(len(fit.residuals), -1)
     owner = _owners(fit.classes, rows.shape[1])
     if owner is None or fit.sigma.size != len(fit.classes) or not np.all(fit.sigma > 0):
@@ -72,7 +72,7 @@ def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
 def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
     """Return the noise class of each column, or None if it is ambiguous.
 
-    The sequence of classes repeats, with three columns per class, or one for a distance or line.
+    The sequence of classes repeats, with three columns per class (one for a distance or line).
     """
     if len(classes) == 1:
         return np.zeros(columns, dtype=int)
@@ -81,7 +81,7 @@ def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
 
 
 def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
-    """Draw the norm of the residual of each sample and class, with outliers as crosses."""
+    """Plot the residual norm of each sample and class, with outliers as crosses."""
     for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
         count = np.isfinite(part).sum(axis=1)
         size = np.sqrt(np.nansum(part**2, axis=1) / np.where(count > 0, count, np.nan))  # NaN: not measured
@@ -103,7 +103,7 @@ def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray
 
 
 def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
-    """Draw the sorted residuals of the inliers against the quantiles of the normal distribution."""
+    """Plot the sorted residuals of the inliers against the quantiles of the normal distribution."""
     from scipy.special import ndtri
 
     widest = 1.0
@@ -143,7 +143,7 @@ def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
 
 
 def _pairs(fit: Fit[Any]) -> list[list[int]]:
-    """Return the indices of adjacent parameters with equal units; of three such parameters, the first two."""
+    """Return the indices of adjacent parameter pairs with equal units; of three such parameters, use the first two."""
     found: list[list[int]] = []
     i = 0
     while i + 1 < len(fit.names) and len(found) < _MOST:

@@ -1,4 +1,4 @@
-"""Contact figures: wrench, probabilities of hypotheses, coverage of the uncertainty, observability."""
+"""Contact figures: wrench, hypothesis probabilities, coverage of the uncertainty, observability."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _SHADE = "#B3B3B3"
 
 
 def wrench(table: Table, ax: Any = None) -> Figure:
-    """Draw the estimated wrench against time, one panel per axis, with 2-sigma bands; contact is shaded.
+    """Plot the estimated wrench against time, one panel per axis, with 2-sigma bands; contact is shaded.
 
     The true wrench (`wrench_true`), the force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are drawn if
-    the table contains them. All forces have the same scale, and so do all moments. The scales follow from the
-    estimates; wider bands are clipped.
+    the table contains them. All forces have the same scale, and so do all moments. The estimates determine the scales;
+    wider bands are clipped.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def wrench(table: Table, ax: Any = None) -> Figure:
 
 
 def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
-    """Draw the estimated forces of several arms side by side on the same scale, one column per arm.
+    """Plot the estimated forces of several arms side by side on the same scale, one column per arm.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _panel(ax: Axes, table: Table, sigma: np.ndarray | None, i: int, touched: np
 
 
 def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
-    """Return the limit of the scale, which contains the lines and a band of typical width."""
+    """Return the scale limit, which contains the lines and a band of typical width."""
     part = slice(3 * column, 3 * column + 3)
     lines = [table[name][:, part] for name in ("wrench_hat", "wrench_true", "wrench") if name in table]
     sizes = [np.nanquantile(np.abs(array), 0.9995) for array in lines if np.isfinite(array).any()]
@@ -117,11 +117,11 @@ def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
     return 1.2 * largest if largest > 0 else 1.0
 
 
-_LEAST = 0.02  # peak probability; less probable hypotheses are drawn together
+_LEAST = 0.02  # peak probability; less probable hypotheses are merged
 
 
 def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
-    """Draw the stacked probabilities of the hypotheses against time, and a bar while contact on a link is possible.
+    """Plot stacked hypothesis probabilities against time, with a bar while contact on a link is possible.
 
     Parameters
     ----------
@@ -150,18 +150,19 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
 
 
 EDGES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # bin edges, relative to the peak speed
-NOMINAL = 95.4  # %, coverage of two sigma of a normal distribution
-_FEWEST = 50  # smallest number of samples in a bin
+NOMINAL = 95.4  # %, two-sigma coverage of a normal distribution
+_FEWEST = 50  # minimum number of samples in a bin
 _WEAK = 0.5
 _AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
 def coverage(table: Table, ax: Any = None) -> Axes:
-    """Draw the fraction of errors within 2 sigma against speed; a well-calibrated uncertainty covers 95.4 %.
+    """Plot the fraction of errors within 2 sigma against speed; a well-calibrated uncertainty covers 95.4 %.
 
     With tau_sigma (from `identify.predict`), the figure shows the torque of each joint against its own speed. With
-    wrench_hat, it shows each wrench axis, compared with wrench_true or the sensor's `wrench`, against the speed of the
-    fastest joint. Speeds are relative to the joint's peak in the table. Bins with fewer than 50 samples are omitted.
+    wrench_hat, it shows each wrench axis against the speed of the fastest joint; the reference is wrench_true or the
+    sensor's `wrench`. Speeds are relative to the joint's peak speed in the table. Bins with fewer than 50 samples are
+    omitted.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
 
 def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the names of joints or axes, and the fraction (k, 5) of their errors within 2 sigma per speed bin."""
+    """Return the names of joints or axes, and the fraction (k, 5) of errors within 2 sigma in each speed bin."""
     expect(table, Table)
     if "qd" not in table:
         raise UnknownName.among("column of a coverage figure", "qd", table.names)
@@ -216,7 +217,7 @@ def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def observability(table: Table, ax: Any = None) -> Figure:
-    """Draw the observability of each wrench axis against time, from 0 (prior alone) to 1 (determined by the torques).
+    """Plot the observability of each wrench axis against time, from 0 (prior alone) to 1 (determined by the torques).
 
     Intervals with a weakly observable axis (below 0.5) are shaded.
 

@@ -31,10 +31,10 @@ _POINTS = 3_000
 
 
 def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) -> Figure:
-    """Draw the steady-state friction of each joint against velocity, with 2-sigma bands.
+    """Plot the steady-state friction of each joint against velocity, with 2-sigma bands.
 
-    The dark band is the uncertainty of the friction parameters. The light band adds the torque error of the model at
-    that velocity, so it should contain 95 % of the points. Each point is the curve value plus the residual of a row.
+    The dark band is the uncertainty of the friction parameters. The light band adds the model's torque error at that
+    velocity, and should contain 95 % of the points. Each point is the curve value plus the residual of a row.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _sign(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
 
 
 def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.ndarray:
-    """Return the variance (N,) of the friction curve of joint i that results from the parameter covariance."""
+    """Return the variance (N,) of joint i's friction curve due to the parameter covariance."""
     friction = fit.value.friction
     s = _sign(fit.value, np.repeat(qd[:, None], fit.value.n, axis=1))[:, i]
     slopes = {name: term.column(qd, s) for name, term in FRICTION_TERMS.items() if term.column and name != "load"}
@@ -98,7 +98,7 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
 
 
 def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
-    """Return the index in the fit of each friction parameter of each joint, such as {"viscous": 45, "coulomb+": 46}."""
+    """Return the index in the fit of each joint's friction parameters, such as {"viscous": 45, "coulomb+": 46}."""
     joints: list[dict[str, int]] = []
     for place in range(len(fit.value.base_names), len(fit.names)):
         kind = fit.names[place].split()[0]
@@ -112,10 +112,10 @@ def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
 _CELLS = 61  # cells of the map per axis
 _SLICES = 3
 _BINS = 16  # bins of the sample coverage per axis
-_ROWS = 8_000  # largest number of rows for a spectrum; longer logs are thinned
-_BEYOND = 1.25  # limit of the spectrum, relative to the line at twice the gear ratio
-_FEWEST = 100  # smallest number of rows for an amplitude
-_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution: lower limit of the spectrum, and its smallest upper limit
+_ROWS = 8_000  # maximum number of rows for a spectrum; longer logs are thinned
+_BEYOND = 1.25  # upper limit of the spectrum, relative to the line at twice the gear ratio
+_FEWEST = 100  # minimum number of rows for an amplitude
+_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution: lower limit of the spectrum, and minimum upper limit
 
 
 def friction_map(
@@ -125,9 +125,10 @@ def friction_map(
     slices: ArrayLike | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Draw the sliding friction of a joint against position and velocity, as a map and as slices.
+    """Plot the sliding friction of a joint against position and velocity, as a map and as slices.
 
-    With a table, its samples are drawn on the map, and cells without samples, where the map extrapolates, are hatched.
+    If a table is given, its samples are drawn on the map, and cells without samples, where the map extrapolates, are
+    hatched.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def friction_map(
     joints_shown([joint], model.n)
     known = model.training
     q = np.linspace(known.q_min[joint], known.q_max[joint], _CELLS)
-    qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number excludes velocity zero
+    qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number excludes zero velocity
     torque = _sliding(model, joint, q, qd)
     cuts = np.linspace(q[0], q[-1], _SLICES + 2)[1:-1] if slices is None else numbers(slices, "slices", ShapeError)
     if cuts.ndim != 1 or not len(cuts) or not np.isfinite(cuts).all():
@@ -192,11 +193,11 @@ def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_sh
 def spectrum(
     fit: Fit[TorqueModel] | TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None
 ) -> Figure:
-    """Draw the amplitude of the torque residual against cycles per joint revolution, with and without the ripple model.
+    """Plot the amplitude of the torque residual against cycles per joint revolution, with and without the ripple model.
 
-    Ripple depends on position, so its spectral lines are independent of speed; the lines in the model are marked. If
-    the gear ratios are known, the upper axis shows cycles per motor revolution. The amplitude at a line uses only rows
-    in which its frequency is below a quarter of the sampling rate.
+    Ripple depends on position, so its spectral lines do not depend on speed; the model's lines are marked. If the gear
+    ratios are known, the upper axis shows cycles per motor revolution. The amplitude of a line uses only rows in which
+    its frequency is below a quarter of the sampling rate.
 
     Parameters
     ----------
@@ -220,14 +221,14 @@ def spectrum(
         for panel, i in zip(axes[:, 0], shown, strict=True):
             q, qd = without.data.q[::every, i], without.data.qd[::every, i]
             gear = 0.5 * model.ripple.cycles[i]
-            step = 0.5 * np.pi / max(float(np.ptp(q)), 1e-3)  # resolution set by the range of motion
+            step = 0.5 * np.pi / max(float(np.ptp(q)), 1e-3)  # the range of motion determines the resolution
             cycles = np.arange(_SLOWEST, _BEYOND * max(2.0 * gear, _UNGEARED), step)
             slow = without.data.rate / 4.0 / np.maximum(np.abs(qd) / (2 * np.pi), 1e-9)  # cycles per revolution
             for found, color, label in ((without, GREY, "without"), (with_ripple, MODEL, "with")):
                 amplitude = _amplitude(q, found.y[::every, i], cycles, slow)
                 panel.plot(cycles, amplitude, color=color, linewidth=0.8, label=label)
             for k, line in enumerate(_lines(model, i)):
-                panel.axvline(line, color=MODEL, linestyle=":", linewidth=0.8, label="_" if k else "line of the model")
+                panel.axvline(line, color=MODEL, linestyle=":", linewidth=0.8, label="_" if k else "model line")
             if 2.0 * gear >= _UNGEARED:
                 top = panel.secondary_xaxis("top", functions=(lambda x, g=gear: x / g, lambda x, g=gear: x * g))
                 top.set_xlabel("cycles per motor revolution" if panel is axes[0, 0] else "")

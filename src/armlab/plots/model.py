@@ -40,7 +40,7 @@ _RESIDUAL = JOINT_STYLES[0][0]
 
 
 def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None) -> Figure:
-    """Draw the measured and modelled torque of each joint, and the residual with its 2-sigma band.
+    """Plot the measured and modelled torque of each joint, and the residual with its 2-sigma band.
 
     Measured and modelled torques are low-pass filtered at the cut-off frequency of the model; see `identify.predict`.
     The title of a residual panel gives the explained variance, the RMS residual, and the fraction within the band.
@@ -89,7 +89,7 @@ def value_of(fit: Fit[TorqueModel] | TorqueModel) -> TorqueModel:
 
 
 def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
-    """Return the explained variance, the RMS residual, and the fraction within the band as text."""
+    """Return the explained variance, the RMS residual and the fraction within the band as text."""
     known = np.isfinite(residual) & np.isfinite(sigma)
     spread = np.var(tau[known]) if known.any() else 0.0
     if not spread > 0:
@@ -101,15 +101,15 @@ def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
 
 
 def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float | None]:
-    """Return symmetric limits that contain the band, and the residual except for rare spikes."""
+    """Return symmetric limits that contain the band and, except for rare spikes, the residual."""
     sizes = [np.nanquantile(np.abs(residual), 0.999)] if np.isfinite(residual).any() else []
     sizes += [2 * np.nanmedian(sigma)] if np.isfinite(sigma).any() else []
     largest = float(max(sizes, default=0.0))
     return (-1.3 * largest, 1.3 * largest) if largest > 0 else (None, None)
 
 
-_CLOUD_POINTS = 4_000  # largest number of points in a cloud; longer logs are thinned
-_LAG = 1.0  # s, longest lag
+_CLOUD_POINTS = 4_000  # maximum number of points in a cloud; longer logs are thinned
+_LAG = 1.0  # s, maximum lag
 _MODELS = (MODEL, JOINT_STYLES[0][0], JOINT_STYLES[2][0])
 
 
@@ -119,7 +119,7 @@ def residual_speed(
     joints: Sequence[int] | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Draw torque residuals against joint velocity, with the 2-sigma curves of one or several covariance models.
+    """Plot torque residuals against joint velocity, with the 2-sigma curves of one or several covariance models.
 
     Parameters
     ----------
@@ -153,9 +153,9 @@ def residual_speed(
 
 
 def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any = None) -> Axes:
-    """Draw the autocorrelation of the torque residuals; white noise stays within the grey band.
+    """Plot the autocorrelation of the torque residuals; white noise stays within the grey band.
 
-    The legend gives the correlation time of each joint, which is the spacing of effectively independent samples.
+    The legend gives the correlation time of each joint: the spacing of effectively independent samples.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _residuals(table: Table) -> np.ndarray:
 
 
 def _correlation(x: np.ndarray, known: np.ndarray, most: int) -> np.ndarray:
-    """Return the autocorrelation (most,) of x (N,), averaged over the pairs of known samples at each lag."""
+    """Return the autocorrelation (most,) of x (N,), averaged over all pairs of known samples at each lag."""
     size = 2 ** int(np.ceil(np.log2(2 * len(x))))
 
     def pairs(values: np.ndarray) -> np.ndarray:
@@ -217,11 +217,11 @@ _VELOCITIES = 601
 def velocity_covariance(
     model: Fit[TorqueModel] | TorqueModel | VelocityCovariance, qd_max: float = 1.0, ax: Any = None
 ) -> Axes:
-    """Draw the standard deviation of each joint's torque error against joint velocity.
+    """Plot the standard deviation of each joint's torque error against joint velocity.
 
     Parameters
     ----------
-    model : torque model, its fit, or only its covariance.
+    model : torque model, its fit, or its covariance alone.
     qd_max : limit of the velocity axis, which extends from -qd_max to qd_max [rad/s].
     ax : Axes to draw into; default: a new figure.
 
@@ -243,14 +243,13 @@ def velocity_covariance(
     return panel
 
 
-_WEAK, _REFUSED = 300.0, 1e4  # condition numbers of the estimators
+_WEAK, _REFUSED = 300.0, 1e4  # condition-number limits of the fits
 
 
 def excitation(found: Excitation, ax: Any = None) -> Axes:
-    """Draw the singular values of the scaled regressor in descending order, relative to the largest singular value.
+    """Plot the singular values of the scaled regressor in descending order, relative to the largest singular value.
 
-    A direction below 1/300 is weakly excited and needs a longer or richer log. If a direction is below 1/10000, the
-    fit raises NotExcited.
+    Directions below 1/300 are weakly excited and need a longer or richer log. Below 1/10000, the fit raises NotExcited.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of movement primitives of all kinds, and of two-degree-of-freedom control."""
+"""Figures of all kinds of movement primitives, and of two-degree-of-freedom control."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
 """Style of demonstrations: wide lines below the motion."""
 _SAMPLES = 501
-_SETTLES = 1.5  # drawn time of motions that continue beyond their duration, relative to the duration
+_SETTLES = 1.5  # plotted time of motions that continue beyond their duration, relative to it
 Goals = Sequence[tuple[float, ArrayLike]]
 
 
 def dmp(
     dmp: Dmp | Fit[Dmp], demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals = (), ax: Any = None
 ) -> Figure:
-    """Draw a movement primitive against time: position, velocity, forcing term, kernels with the phase, and weights.
+    """Plot a movement primitive against time: position, velocity, forcing term, kernels with the phase, and weights.
 
     Parameters
     ----------
     dmp : the primitive.
     demo : times (N,) and positions (N, n) of the demonstration, drawn as a wide grey line.
-    goals : goal changes (t, g), each to a goal g (n,) at time t [s], drawn as dashed lines.
+    goals : goal changes (t, g), with the new goal g (n,) at time t [s], drawn as dashed lines.
     ax : five Axes to draw into; default: a new figure.
 
     Raises
@@ -73,7 +73,7 @@ def dmp(
 
 
 def dmp_phase(dmp: Dmp | Fit[Dmp], ax: Any = None) -> Axes:
-    """Draw the phase plane of a movement primitive: velocity against position, from the start (o) to the goal (x).
+    """Plot the phase plane of a movement primitive: velocity against position, from the start (o) to the goal (x).
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int | None) -> tuple[np.
 
 
 def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]]:
-    """Return the motion, and the times (K,) and goals (K, n) of the goal changes."""
+    """Return the motion, and the times (K,) and goals (K, n) of all goal changes."""
     if not goals:
         return dmp.rollout(np.linspace(0.0, dmp.duration, _SAMPLES)), (np.zeros(1), dmp.g[None])
     due = [(number(t, "time of a goal [s]"), g) for t, g in sorted(goals, key=lambda goal: goal[0])]
@@ -148,13 +148,13 @@ _DASHES = ("-", "--", "-.")
 
 
 def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
-    """Draw a pose movement primitive against time: position, and rotation vector from the goal.
+    """Plot a pose movement primitive against time: position, and rotation vector relative to the goal.
 
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a wide grey line, with its distance from the
-        primitive in additional panels.
+    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a wide grey line; additional panels show its
+        distance from the primitive.
     ax : two Axes to draw into, or four with a demonstration; default: a new figure.
 
     Raises
@@ -179,7 +179,7 @@ def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | No
 
 
 def _poses(axes: np.ndarray, t: np.ndarray, T: np.ndarray, T_goal: np.ndarray, styles: list[dict[str, Any]]) -> None:
-    """Draw x, y and z of the position, and of the rotation vector from the goal in base axes."""
+    """Draw x, y and z of the position, and of the rotation vector relative to the goal in base axes."""
     turned = so3.log(T[:, :3, :3] @ T_goal[:3, :3].T)
     for panel, values in zip(axes, (T[:, :3, 3], turned), strict=True):
         for i, style in enumerate(styles):
@@ -187,7 +187,7 @@ def _poses(axes: np.ndarray, t: np.ndarray, T: np.ndarray, T_goal: np.ndarray, s
 
 
 _TURN_SAMPLES = 500  # samples per period
-_MOST = 2000  # largest number of samples drawn of a demonstration
+_MOST = 2000  # maximum number of samples drawn per demonstration
 _TICKS = {0.0: "0", np.pi / 2: "π/2", np.pi: "π", 3 * np.pi / 2: "3π/2", 2 * np.pi: "2π"}
 
 
@@ -197,7 +197,7 @@ def periodic_dmp(
     turns: float = 3.0,
     ax: Any = None,
 ) -> Figure:
-    """Draw a periodic movement primitive: position, forcing term and kernels during a period, and several periods.
+    """Plot a periodic movement primitive: position, forcing term and kernels over one period, and several periods.
 
     The motion in the last panel begins at rest on the baseline (dashed) and converges to the periodic motion.
 
@@ -256,7 +256,7 @@ def promp(
     seed: int = 0,
     ax: Any = None,
 ) -> Figure:
-    """Draw the mean and 2-sigma band of a distribution over motions, with one panel per coordinate.
+    """Plot the mean and 2-sigma band of a distribution over motions, with one panel per coordinate.
 
     Parameters
     ----------
@@ -265,14 +265,14 @@ def promp(
         `promp`.
     prior : distribution before conditioning, drawn in grey.
     points : via-points (t, y) with time t [s] and position y (n,).
-    samples : number of random motions to sample from the distribution and plot as dotted lines.
+    samples : number of random motions to sample from the distribution and draw as dotted lines.
     seed : random seed of these motions.
     ax : n Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : `promp` is not a ProMP, a demonstration, the prior or a via-point has the wrong shape, or the number
-        of Axes is wrong.
+    ShapeError : `promp` is not a ProMP, the number of Axes is wrong, or a demonstration, the prior or a via-point has
+        the wrong shape.
     """
     promp = value_of(promp)
     expect(promp, ProMP)
@@ -319,10 +319,11 @@ def _point(y: ArrayLike, n: int) -> np.ndarray:
 
 
 def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -> Figure:
-    """Draw the disturbance and recovery of a primitive under two-degree-of-freedom control.
+    """Plot the disturbance and recovery of a primitive under two-degree-of-freedom control.
 
-    The top panel shows the arm ya (solid), the coupled path yc (dashed) and the undisturbed primitive (dotted), the
-    middle panel the filtered error e, and the bottom panel the slow-down factor of the path. Disturbances are shaded.
+    The top panel shows the arm ya (solid), the coupled path yc (dashed) and the undisturbed primitive (dotted). The
+    middle panel shows the filtered error e, and the bottom panel the slow-down factor of the path. Disturbances are
+    shaded.
 
     Parameters
     ----------

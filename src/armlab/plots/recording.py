@@ -1,4 +1,4 @@
-"""Figures of a recording: columns of its table, poses, and latency of the loop."""
+"""Figures of a recording: columns of its table, poses, and loop latency."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MOST_COMPONENTS = 14
 
 
 def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes | Figure:
-    """Draw columns against time, with one panel per quantity and one colour per joint.
+    """Plot columns against time, with one panel per quantity and one colour per joint.
 
     Columns that differ only in ``_ref`` or ``_sent`` share a panel; commanded and sent values are dashed. Intervals
     with an active command limit are shaded.
@@ -75,7 +75,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
 
 
 def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> None:
-    """Draw all components, or one component, of the columns of a quantity."""
+    """Draw one or all components of a quantity's columns."""
     ax.set_ylabel(heading(data.columns[names[0]], _quantity(names[0])))
     for name in names:
         flat = data[name].reshape(len(data), -1)
@@ -93,7 +93,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
 
 
 def _legends(axes: list[Axes]) -> None:
-    """Put a legend to the right of each panel, without the lines that are already in a legend above it."""
+    """Put a legend to the right of each panel, without the lines that a legend above already lists."""
     said: set[str] = set()
     for ax in axes:
         handles, names = ax.get_legend_handles_labels()
@@ -121,9 +121,9 @@ def _quantity(name: str) -> str:
 
 
 def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax: Any = None) -> Axes | Figure:
-    """Draw the position of poses against time, and their rotation vector in a second panel.
+    """Plot the positions of poses against time, with the rotation vectors in a second panel.
 
-    The rotation vector starts with an angle of at most π and is continuous up to a full revolution.
+    The rotation vector starts at an angle of at most π and is continuous up to a full revolution.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ _QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
 
 
 def latency(table: Table, ax: Any = None) -> Axes:
-    """Draw histograms of the times from packet to reply, of the controller and of the loop's wake-up.
+    """Plot histograms of the times from packet to reply, in the controller, and for the wake-up of the loop.
 
     Parameters
     ----------
@@ -182,8 +182,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Returns
     -------
-    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title gives the numbers of missed and late
-    ticks.
+    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title the numbers of missed and late ticks.
 
     Raises
     ------
@@ -213,7 +212,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
 
 def _spans(table: Table) -> dict[str, np.ndarray]:
-    """Return the positive times of each measured part of the loop [s]."""
+    """Return the positive durations of each measured part of the loop [s]."""
     expect(table, Table)
     found = {}
     if "receive_ns" in table and "send_ns" in table:

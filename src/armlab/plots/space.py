@@ -1,4 +1,4 @@
-"""Three-dimensional axes and their items: frames, pose paths, points, lines, planes, spheres."""
+"""3D axes and what they show: frames, pose paths, points, lines, planes, spheres."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
 """Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up."""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
-"""Positions of a frame's name in the frame: away from x and y, or beyond z to keep clear of the arm."""
+"""Positions of a frame's name in the frame: away from x and y, or beyond z to avoid the arm."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # z-order; lines have 2
-_EDGE = "#B0B0B0"  # colour of the grid of three-dimensional axes
-_FLATTEST = 0.3  # smallest ratio of the shortest to the longest side of the box, for planar robots
-_HALF_SIDE = 0.0925  # half side of the axes in the figure, in matplotlib's units
-_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of axis labels in a cube, and matplotlib's default distance
+_EDGE = "#B0B0B0"  # grid colour of 3D axes
+_FLATTEST = 0.3  # minimum ratio of the shortest to the longest box side, for planar robots
+_HALF_SIDE = 0.0925  # half side of the axes in the figure, in matplotlib units
+_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # label distances in a cube, and matplotlib's default distance
 _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # scaling of these distances with the sides of the box
 
 
 def space(ax: Any = None) -> tuple[Figure, Axes3D]:
-    """Return a new figure, or that of the caller's Axes, and its three-dimensional axes in metres."""
+    """Return a new figure, or that of the caller's Axes, and its 3D axes in metres."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -55,14 +55,14 @@ def space(ax: Any = None) -> tuple[Figure, Axes3D]:
 
 
 def extent(ax: Axes3D) -> np.ndarray:
-    """Return the lowest and the highest corner (2, 3) of all items drawn so far; NaN for empty axes."""
+    """Return the lowest and highest corners (2, 3) of all items drawn so far; NaN for empty axes."""
     if not ax.has_data():
         return np.full((2, 3), np.nan)
     return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
 
 
 def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
-    """Set equal scales on the three axes with room for all items; the box fills `part` of the axes in the figure."""
+    """Set equal scales on all three axes, with room for all items; the box fills the fraction `part` of the axes."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -87,7 +87,7 @@ def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
 def frame(
     ax: Axes3D, T: np.ndarray, length: float, name: str = "", *, letters: bool = True, place: ArrayLike = AWAY
 ) -> None:
-    """Draw a frame with pose T (4, 4): coloured arrows of a length [m] with the letters x, y and z, and its name.
+    """Draw a frame with pose T (4, 4): coloured arrows of the given length [m], labelled x, y and z, and its name.
 
     `place`: position (3,) of the name in the frame, in arrow lengths.
     """
@@ -107,7 +107,7 @@ def arrow(ax: Axes3D, start: np.ndarray, along: np.ndarray, **style: Any) -> Non
 
 
 def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
-    """Write a text centred at a position (3,), with a white outline that keeps it readable on top of lines."""
+    """Write text centred at a position (3,), with a white outline to keep it readable on top of lines."""
     from matplotlib.patheffects import withStroke
 
     rim = [withStroke(linewidth=2.0, foreground="white")]
@@ -129,18 +129,18 @@ def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
 
 
 def _include(ax: Axes3D, points: np.ndarray) -> None:
-    """Add points (N, 3) to the axes extent, because matplotlib does this only for lines and point clouds."""
+    """Include points (N, 3) in the axes extent; matplotlib does this only for lines and point clouds."""
     ax.auto_scale_xyz(points[:, 0], points[:, 1], points[:, 2], had_data=ax.has_data())
 
 
 @cache
 def _arrow_class() -> type:
-    """Return the class for arrows in space, because matplotlib has only planar arrows."""
+    """Return the class of 3D arrows, because matplotlib has only planar arrows."""
     from matplotlib.patches import FancyArrowPatch
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
     class Arrow(FancyArrowPatch):
-        """Planar arrow with ends at two points (2, 3) in space."""
+        """Planar arrow between two 3D points (2, 3)."""
 
         def __init__(self, start: np.ndarray, end: np.ndarray, **style: Any) -> None:
             look = {"arrowstyle": "-|>", "mutation_scale": 8.0, "linewidth": 1.4, "zorder": _ARROW}
@@ -185,23 +185,23 @@ def _ring(ax: Axes3D, centre: np.ndarray, axes: np.ndarray, color: str) -> None:
     ax.plot(*points.T, color=color, linewidth=1.2, gid="circle")
 
 
-_MOST_FRAMES = 12  # largest number of frames per path
+_MOST_FRAMES = 12  # maximum number of frames per path
 _MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # markers of successive point sets, with their areas
 _NAMED = 0.15  # default length of a named frame, relative to the size of the scene
 
 
 def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
-    """Draw frames, paths, points and features in one set of axes with equal scales [m].
+    """Draw frames, paths, points and features in common 3D axes with equal scales [m].
 
     Parameters
     ----------
     *items : a mapping {name: T_a_x (4, 4)} of named frames; poses (N, 4, 4), drawn as a path from a dot to a square;
         points (N, 3), coloured from first to last, with a different marker per set; a `frames.Line`, with its foot
-        point if this point is near; a `frames.Plane`, drawn as a patch with its normal; a circle or a sphere. All items
-        must be in the same frame a. NaN leaves a gap.
+        point if nearby; a `frames.Plane`, drawn as a patch with its normal; a circle or a sphere. All items must be in
+        the same frame a. NaN leaves a gap.
     frames : length [m] of the named frames and of the frames along paths (at most 12 per path, evenly spaced). With 0,
         no frames are drawn along paths, and named frames get a suitable length.
-    ax : three-dimensional Axes to draw into, for example from `robot`; default: a new figure.
+    ax : 3D Axes to draw into, for example from `robot`; default: a new figure.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
     wrong = np.flatnonzero(~(se3.is_pose(T) | np.isnan(T).any(axis=(1, 2))))
     if wrong.size:
         raise ShapeError(
-            f"Expected poses in {name}, got a matrix without a rotation at row {wrong[0]}. "
+            f"Expected poses in {name}, got a matrix without a valid rotation in row {wrong[0]}. "
             "Use lie.se3.project to correct a rounded rotation."
         )
     return T
@@ -278,7 +278,7 @@ def _named(T: Any, name: Any) -> np.ndarray:
 
 
 def _path(ax: Axes3D, T: np.ndarray, frames: float, color: str) -> None:
-    """Draw a path with its start, its end, and its frames."""
+    """Draw a path with its start, end and frames."""
     p = T[:, :3, 3]
     ax.plot(*p.T, color=color, linewidth=1.4, gid="path")
     there = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)))

@@ -23,7 +23,7 @@ JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS
 """Colour and line style of joints 1, 2, ... in all figures."""
 MODEL = VERMILION
 
-_MOST_POINTS = 20_000  # largest number of points in a line; longer lines are drawn as envelopes
+_MOST_POINTS = 20_000  # maximum number of points in a line; longer lines are drawn as envelopes
 _ENVELOPE_COLUMNS = 4_000
 _COLUMNS = 4  # joint panels side by side
 _RC: dict[Any, Any] = {
@@ -53,7 +53,7 @@ def look() -> Iterator[None]:
 
     with mpl.rc_context(_RC):
         yield
-        interactive = mpl.is_interactive()  # enabled by a notebook's backend, which the first figure loads
+        interactive = mpl.is_interactive()  # a notebook backend, loaded by the first figure, enables it
     mpl.interactive(interactive)
 
 
@@ -84,7 +84,7 @@ def single(ax: Any, *, width: float, height: float) -> Iterator[tuple[Figure, Ax
 
 
 def name_rows(figure: Figure, axes: np.ndarray, names: Iterable[str]) -> None:
-    """Label the y axes of stacked panels (N, 1), and their common time axis."""
+    """Label the y axes of stacked panels (N, 1) and their common time axis."""
     for panel, name in zip(axes[:, 0], names, strict=True):
         panel.set_ylabel(name)
     axes[-1, 0].set_xlabel(label("t"))
@@ -103,7 +103,7 @@ def joint_names(table: Table, count: int) -> tuple[str, ...]:
 
 
 def joints_shown(joints: Sequence[int] | None, n: int) -> list[int]:
-    """Return the indices of the joints to draw, from 0; None means all joints."""
+    """Return the indices of the joints to draw (from 0); None means all joints."""
     shown = list(range(n)) if joints is None else list(joints)
     if not shown or not all(0 <= i < n for i in shown):
         raise ShapeError(f"Expected joint numbers from 0 to {n - 1} to draw, got {shown}.")
@@ -122,20 +122,20 @@ def joint_panels(count: int, ax: Any) -> Iterator[tuple[Figure, np.ndarray]]:
 
 
 def line(ax: Axes, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
-    """Draw values (N,) against t; NaN leaves a gap, and more than 20 000 points are drawn as an envelope."""
+    """Plot values (N,) against t; NaN leaves a gap, and more than 20 000 points are drawn as an envelope."""
     ax.plot(*envelope(t, values), **style)
 
 
 def cloud(ax: Axes, x: np.ndarray, y: np.ndarray, label: str) -> None:
-    """Draw many small grey points y (N,) against x (N,), with a visible marker in the legend."""
+    """Plot y (N,) against x (N,) as small grey points, with a larger marker in the legend."""
     ax.plot(x, y, ".", color=GREY, markersize=1.5, alpha=0.35, label="_")
     ax.plot([], [], ".", color=GREY, markersize=5.0, label=label)
 
 
 def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times and values to draw: up to 20 000 points, otherwise the minimum and maximum of each segment.
+    """Return the times and values to draw: up to 20 000 points unchanged, otherwise the extremes of each segment.
 
-    Segments without values are NaN, which preserves gaps.
+    Segments without values are NaN, to preserve gaps.
     """
     values = np.asarray(values, dtype=float)
     if len(values) <= _MOST_POINTS:
@@ -154,7 +154,7 @@ def band(ax: Axes, t: np.ndarray, middle: np.ndarray, half: np.ndarray, **style:
 
 
 def _extremes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the first row, the smallest `low` and the largest `high` of each segment; NaN for empty segments."""
+    """Return the first row, the minimum of `low` and the maximum of `high` of each segment; NaN for empty segments."""
     first = np.linspace(0, len(low), _ENVELOPE_COLUMNS + 1).astype(int)[:-1]
     return first, np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
 
@@ -176,7 +176,7 @@ def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
-    """Put a common legend of the axes above the figure, or into the first axes if the user's layout has no room."""
+    """Put a common legend above the figure, or into the first axes if the user's layout has no room."""
     entries: dict[str, Any] = {}
     for ax in axes:
         entries |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
@@ -191,7 +191,7 @@ def _legend_columns(figure: Figure, labels: list[str]) -> int:
     """Return the number of legend columns that fit, at most seven; matplotlib would clip the others."""
     from matplotlib.textpath import TextPath
 
-    size = _RC["legend.fontsize"]  # the line, padding and column spacing take 4.8 times this size
+    size = _RC["legend.fontsize"]  # line, padding and column spacing take 4.8 times this size
     widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
     room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
     return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))
@@ -211,7 +211,7 @@ _MAKERS = {
 
 
 def expect(value: object, kind: type) -> None:
-    """Refuse a value that is not of the type that a figure draws."""
+    """Reject a value whose type a figure cannot draw."""
     if not isinstance(value, kind):
         raise ShapeError(f"Expected {kind.__name__} to draw, got {shortened(value)}. {_MAKERS[kind.__name__]}.")
 
@@ -230,7 +230,7 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Show all open figures in windows, and wait until they are closed; raise without a screen."""
+    """Show all open figures in windows, and wait until they are closed; raise an error if there is no screen."""
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 

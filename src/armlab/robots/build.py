@@ -21,13 +21,13 @@ RAMP_TIME = 0.1
 """Time [s] in which the default acceleration limit reaches the speed limit."""
 
 LIKE_DEGREES = (8.0 * np.pi, 500.0)
-"""Limits between these values [rad] are usually in degrees: few axes exceed four revolutions, and ABB axes reach 96."""
+"""Revolute limits in this range [rad] are probably degrees: few axes exceed four revolutions, and ABB axes reach 96."""
 SCREW_TOLERANCE = 1e-9
-"""Largest error in the length and in the pitch of a unit screw with zero pitch."""
+"""Tolerance on the length and the pitch of a unit screw without pitch."""
 
 
 class Details(TypedDict, total=False):
-    """Arguments of the builders in addition to the geometry (see `Robot`), and their defaults.
+    """Optional arguments of the builders (see `Robot`), with their defaults.
 
     Attributes
     ----------
@@ -159,16 +159,16 @@ def from_dh(
     return from_links(name, links, prismatic, **details)
 
 
-_NEAR = 0.06  # sufficient inverse condition number of a home posture
-_STEPS = (0.25, 0.5, 0.75, 1.0, 1.25)  # search radii, as fractions of the range around the middle
+_NEAR = 0.06  # inverse condition number at which the search for a home posture stops
+_STEPS = (0.25, 0.5, 0.75, 1.0, 1.25)  # successive search radii around mid-range, relative to `room`
 _TRIES = 64
 
 
 def dexterous_home(robot: Robot) -> np.ndarray:
-    """Return a non-singular posture (n,) near the middle of all ranges, if the search finds it.
+    """Return a non-singular posture (n,) near mid-range, if the search finds one.
 
-    It has the best-conditioned Jacobian (lengths divided by the reach) of the random postures near the middle. Joints
-    without a range start at 0.
+    The search compares random postures near mid-range by the conditioning of their Jacobian, with lengths divided by
+    the reach. Unlimited joints start at 0.
     """
     limited = np.isfinite(robot.q_min) & np.isfinite(robot.q_max)
     low, high = np.where(limited, robot.q_min, 0.0), np.where(limited, robot.q_max, 0.0)
@@ -316,7 +316,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
 def to_local_poe(robot: Robot) -> LocalPoe:
     """Return the robot as a local product of exponentials, including mount and tool.
 
-    A_j ends at the frame in which joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis of joint j.
+    A_j places the frame in which joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis of joint j.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Textual differences between two robot descriptions, and the error for a file of a different robot."""
+"""Differences between two robot descriptions as text, and the error for a file of a different robot."""
 
 from __future__ import annotations
 
@@ -59,9 +59,10 @@ def differences(robot: Robot, other: Robot) -> tuple[str, ...]:
 
 
 def check_same(robot: Robot, what: str, name: str, digest: str, other: Robot | None, advice: str) -> None:
-    """Raise `ModelMismatchError` unless a file, named by `what`, belongs to a robot.
+    """Raise `ModelMismatchError` unless the file described by `what` belongs to `robot`.
 
-    The file states the name and the hash `digest` of its robot, and may describe it (`other`); `advice` is the remedy.
+    `name`, `digest` and `other` are the name, hash and (if stored) description of the robot in the file. `advice` ends
+    the error.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -81,7 +82,7 @@ def _pose(what: str, A: np.ndarray, B: np.ndarray) -> str:
     moved = float(np.linalg.norm(A[:3, 3] - B[:3, 3]))
     turned = float(np.linalg.norm(so3.log(so3.project(A[:3, :3].T @ B[:3, :3])[0])))
     parts = [f"moved by {moved:.4g} m"] if moved > _EQUAL else []
-    parts += [f"turned by {np.degrees(turned):.4g} deg"] if turned > 1e-7 else []
+    parts += [f"rotated by {np.degrees(turned):.4g} deg"] if turned > 1e-7 else []
     return f"{what} {' and '.join(parts)}" if parts else ""
 
 
@@ -101,7 +102,7 @@ def _kind(robot: Robot, i: int) -> str:
 
 
 def _by_joint(name: str, robot: Robot, other: Robot) -> str:
-    """Describe the difference of a limit: the first joint, and the number of other joints."""
+    """Describe a difference in a limit: the values of the first joint, and the number of other joints that differ."""
     words, turning, sliding = _LIMITS[name]
     a, b = getattr(robot, name), getattr(other, name)
     differ = np.flatnonzero(~np.isclose(a, b, rtol=0.0, atol=_EQUAL))

@@ -1,6 +1,6 @@
 """Conversions between joint orders and between the two sides of the gears, along the last axis.
 
-armlab numbers joints from base to tool, and measures each joint relative to its parent link. Controllers have other
+armlab numbers joints from base to tool, and measures each joint relative to its parent link. Controllers use other
 conventions:
 
 * order: ABB's axis 7 of a YuMi arm is the third joint (`abb_to_logical`, `logical_to_abb`);
@@ -26,22 +26,22 @@ __all__ = [
 
 
 def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Return values in kinematic order, base to tool, from values in the order of ABB's axis numbers.
+    """Reorder values from ABB's axis numbers to kinematic order, base to tool.
 
     Parameters
     ----------
-    robot : robot whose `abb_axes` is the order: 1 2 7 3 4 5 6 for a YuMi arm.
+    robot : robot whose `abb_axes` defines the order: 1 2 7 3 4 5 6 for a YuMi arm.
     values : (..., n); the result is a new array of this shape.
     """
     return _values(robot, values)[..., np.array(robot.abb_axes) - 1]
 
 
 def logical_to_abb(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Return values in the order of ABB's axis numbers from values in kinematic order; inverse of `abb_to_logical`.
+    """Reorder values from kinematic order to ABB's axis numbers; inverse of `abb_to_logical`.
 
     Parameters
     ----------
-    robot : robot whose `abb_axes` is the order.
+    robot : robot whose `abb_axes` defines the order.
     values : (..., n); the result is a new array of this shape.
     """
     return _values(robot, values)[..., np.argsort(robot.abb_axes)]

@@ -109,7 +109,7 @@ def _of_robot_descriptions(name: str) -> Path | None:
             if not hasattr(module, "URDF_PATH") and hasattr(module, "XACRO_PATH"):
                 return Path(import_module(f"{package.__name__}._xacro").get_urdf_path(module))
         return Path(module.URDF_PATH)
-    except Exception as error:  # network errors have many types
+    except Exception as error:  # network errors have no common base class
         reason = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise RobotError(
             f"Expected a URDF of {name} from the package robot_descriptions, got: {reason}. The first use of a "
@@ -132,7 +132,7 @@ def _of_example_robot_data(name: str) -> Path | None:
 @cache
 def _example_robot_data() -> dict[str, Path]:
     """Return the URDF files of the package example-robot-data by name; empty without the package."""
-    from importlib.metadata import PackageNotFoundError, distribution  # lazy: a third of the import time of kinematics
+    from importlib.metadata import PackageNotFoundError, distribution  # lazy: a third of kinematics' import time
 
     try:
         files = distribution("example-robot-data").files or ()

@@ -1,4 +1,4 @@
-"""Inertial parameters of bodies: ten numbers that add up over rigidly attached bodies.
+"""Inertial parameters: ten numbers per body, additive over rigidly attached bodies.
 
 ``pi = [m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]``: mass, first moments and inertia about the origin of the
 frame in which they are expressed. ``Ixy`` is the matrix entry: ``-m x y`` for a point mass.

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _YUMI_AXES = (1, 2, 7, 3, 4, 5, 6)
 _PARALLEL = 0.03  # angle [rad] below which axes are drawn as parallel
 MOST_JOINTS = 32  # capacity of the compiled kernels
-MOMENT_TOLERANCE = 1e-6  # fraction of the largest principal moment: smaller negative moments are rounding
-SMALLEST_RADIUS = 1e-6  # radius [m]: moments below that of the whole mass at this radius are rounding
+MOMENT_TOLERANCE = 1e-6  # negative moments below this fraction of the largest principal moment are rounding
+SMALLEST_RADIUS = 1e-6  # radius of gyration [m] below which negative moments are rounding
 DRIVES = ("friction", "damping", "rotor", "ripple", "noise")
 """Drive parameters of a description: Coulomb friction [N m], viscous friction [N m s/rad], rotor inertia [kg m^2],
 amplitude of the torque ripple and standard deviation of the torque signal [N m]. All refer to the joint side; prismatic
@@ -43,21 +43,21 @@ class Robot:
     links : (n+1, 4, 4) constant poses: mount to first joint, joint to next joint, last joint to flange.
     prismatic : (n,) bool, True for prismatic joints.
     q_min, q_max : (n,) position limits [rad or m]; infinite where unlimited.
-    qd_max, qdd_max : (n,) limits of speed and acceleration.
+    qd_max, qdd_max : (n,) speed and acceleration limits.
     q_home : (n,) default start posture, inside the limits.
     joint_names : n names, base to tool.
     T_base_mount : (4, 4) pose of the arm's mount in the frame ``base``.
     T_flange_tool : (4, 4) pose of the tool in the flange.
     gravity : (3,) acceleration of gravity [m/s^2], base axes.
-    coupling : (n, n) gears G: ``q = G q_motor``, ``tau = G^-T tau_motor``.
+    coupling : (n, n) gear matrix G: ``q = G q_motor``, ``tau = G^-T tau_motor``.
     abb_axes : ABB's axis number of each joint, in kinematic order.
     side : "left", "right" or "".
-    source : sources of the numbers.
-    tau_max : (n,) limits of torque or force [N m or N]; infinite where unlimited.
+    source : origin of the numbers.
+    tau_max : (n,) torque or force limits [N m or N]; infinite where unlimited.
     inertias : (n, 10) inertial parameters of each link in its frame (see `robots.inertia`); None: unknown.
-    meshes : n + 1 tuples of `Mesh`: first those of the mount in its frame, then those of links 1 ... n in their link
-        frames; empty without meshes.
-    drives : drive parameters for simulation, as pairs of a name in `DRIVES` and n numbers; 0: unknown.
+    meshes : n + 1 tuples of `Mesh`, for the mount and links 1 ... n, each in the frame of its body; empty without
+        meshes.
+    drives : drive parameters for simulation, as pairs of a name in `DRIVES` and n numbers; 0 means unknown.
 
     Raises
     ------
@@ -113,9 +113,9 @@ class Robot:
 
     @property
     def ros_joint_names(self) -> tuple[str, ...]:
-        """Names in ROS messages, recordings and URDF: `joint_names`, or for a YuMi the names of abb_robot_driver.
+        """Joint names in ROS messages, recordings and URDF: `joint_names`, or abb_robot_driver's names for a YuMi.
 
-        abb_robot_driver counts from base to tool: ABB's axis 7 of a left arm is ``yumi_robl_joint_3``.
+        abb_robot_driver numbers joints from base to tool: ABB's axis 7 of a left arm is ``yumi_robl_joint_3``.
         """
         if self.abb_axes == _YUMI_AXES and self.side:
             return tuple(f"yumi_rob{self.side[0]}_joint_{k}" for k in range(1, self.n + 1))
@@ -133,14 +133,14 @@ class Robot:
 
     @cached_property
     def chain(self) -> Chain:
-        """Compiled kinematics of this robot."""
+        """Compiled kinematics."""
         from armlab.kernels import Chain
 
         return Chain(self.frames, self.prismatic)
 
     @cached_property
     def rigid_body(self) -> RigidBody:
-        """Compiled dynamics of this robot, called by the functions of `armlab.dynamics`.
+        """Compiled dynamics, used by `armlab.dynamics`.
 
         Raises
         ------
@@ -157,7 +157,7 @@ class Robot:
 
     @cached_property
     def inverse_solver(self) -> InverseSolver:
-        """Compiled inverse kinematics of this robot, called by `kinematics.inverse`."""
+        """Compiled inverse kinematics, used by `kinematics.inverse`."""
         from armlab.kernels import InverseSolver
 
         return InverseSolver(self.chain, self.q_min, self.q_max, self.q_home)
@@ -188,8 +188,8 @@ class Robot:
     def hash(self) -> str:
         """SHA-256 (hex) of the numbers in the description, without names and sources.
 
-        Numbers are rounded to 12 decimals, so that machines with differently rounded sines agree. Torque limits
-        and inertias are included if present; meshes never are.
+        Numbers are rounded to 12 decimals, so the hash is the same on machines that round sines differently. Torque
+        limits and inertias are included if present; meshes never are.
         """
         import hashlib  # a lazy import, because OpenSSL costs 2 ms
 
@@ -217,7 +217,7 @@ class Robot:
         return replace(self, T_flange_tool=T_flange_tool)
 
     def with_base(self, T_base_mount: np.ndarray) -> Robot:
-        """Return the robot with a different mount, whose meshes move with it; gravity is unchanged in base axes.
+        """Return the robot with a different mount. Its meshes move with it; gravity in base axes is unchanged.
 
         Parameters
         ----------
@@ -273,7 +273,7 @@ def _drives(pairs: tuple[Any, ...], name: str, n: int) -> tuple[tuple[str, tuple
         array = frozen(values, f"{key} of the drives of robot {name!r}")
         if array.shape != (n,) or not np.all((array >= 0) & np.isfinite(array)):
             raise RobotError(
-                f"Expected {n} finite numbers of at least 0 as {key} of the drives of robot {name!r}, "
+                f"Expected {n} finite, non-negative numbers as {key} of the drives of robot {name!r}, "
                 f"got {array.tolist()}."
             )
         found[key] = tuple(array.tolist())
@@ -290,7 +290,7 @@ def _axis_numbers(value: tuple[Any, ...], name: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh(Shown):
-    """Reference to a mesh of a link, whose file is never read. Meshes are equal if all their fields are equal.
+    """Reference to a mesh of a link; its file is never read. Meshes are equal if all their fields are equal.
 
     Attributes
     ----------
@@ -334,7 +334,7 @@ class Mesh(Shown):
         return hash(self._key())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle through the constructor, so that arrays are read-only again."""
+        """Pickle through the constructor, which makes the arrays read-only again."""
         return Mesh, (self.kind, self.file, self.T_link_mesh, self.scale)
 
     def _key(self) -> tuple[Any, ...]:
@@ -349,7 +349,7 @@ def arm_length(robot: Robot) -> float:
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return the ends of the common normal of two axes, given as points and unit vectors, for drawing a link."""
+    """Return the ends of the common normal of two axes, each given by a point and a unit vector, for drawing a link."""
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2
@@ -401,7 +401,7 @@ def _check_poses(robot: Robot) -> None:
     if not np.isfinite(robot.gravity).all():
         raise RobotError(f"Expected finite gravity for robot {robot.name!r}, got {robot.gravity}.")
     if not np.isfinite(robot.coupling).all() or np.linalg.matrix_rank(robot.coupling) < robot.n:
-        raise RobotError(f"Expected a coupling of robot {robot.name!r} of full rank, got a rank below {robot.n}.")
+        raise RobotError(f"Expected a full-rank coupling for robot {robot.name!r}, got a rank below {robot.n}.")
 
 
 def _check_limits(robot: Robot) -> None:
@@ -460,7 +460,7 @@ def _check_bodies(robot: Robot) -> None:
 
 
 def body_fault(pi: np.ndarray) -> str:
-    """Return why inertial parameters (10,) are not physically consistent, or ""; ignores the triangle inequality."""
+    """Describe why inertial parameters (10,) are unphysical, or return ""; the triangle inequality is not checked."""
     if not np.isfinite(pi).all():
         return f"{pi.tolist()}, which is not finite"
     if pi[0] < 0:

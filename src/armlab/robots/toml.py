@@ -182,7 +182,7 @@ def _meshes(file: File) -> list[list[Mesh]]:
     for mesh in file.mesh:
         if not 0 <= mesh.link < len(meshes):
             raise RobotError(
-                f"Expected the link of mesh {mesh.file!r} from 0 (the mount) to {len(file.joint)}, got {mesh.link}."
+                f"Expected mesh {mesh.file!r} on a link from 0 (the mount) to {len(file.joint)}, got {mesh.link}."
             )
         T_link_mesh = _matrix(mesh, f"mesh {mesh.file!r}")
         meshes[mesh.link].append(Mesh(mesh.kind, mesh.file, T_link_mesh, np.array(mesh.scale)))
@@ -218,7 +218,7 @@ def _matrix(pose: Pose, where: str) -> np.ndarray:
 
 
 def write_robot(robot: Robot) -> str:
-    """Return the TOML text of a robot, with DH rows if these are exact, otherwise with the pose of each next joint."""
+    """Return the TOML text of a robot, with DH rows if they are exact, otherwise with the pose of each next joint."""
     rows = [{"name": _text(name)} for name in robot.joint_names]
     dh = _dh_columns(robot)
     head: Fields = {"name": _text(robot.name)}

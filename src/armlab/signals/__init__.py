@@ -1,4 +1,4 @@
-"""Signals: streaming operators for the control loop, zero-phase filters and derivatives for recorded signals."""
+"""Signal processing: streaming operators for control loops, zero-phase filters and derivatives for records."""
 
 from armlab.signals.offline import central_diff, decimate, filtfilt, lowpass_offline, smooth_diff
 from armlab.signals.streaming import CausalDiff, Differentiator, ExpFilter, Integrator, LowPass2, Notch

@@ -1,4 +1,4 @@
-"""Offline zero-phase filters and derivatives: functions without `step`, because they use future samples."""
+"""Zero-phase filters and derivatives of recorded signals, which use future samples."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from armlab.signals.streaming import Operator
 
 __all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_diff"]
 
-UNEVEN = 0.1  # largest relative deviation of a time step in evenly sampled records
+UNEVEN = 0.1  # largest relative deviation of a time step in an evenly sampled record
 PASSED = 0.8  # ratio of the decimation cut-off to the new Nyquist frequency
 ORDER = 3  # polynomial order of smooth_diff
 WINDOW = 1.25  # product of bandwidth and window length
-NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over sampling rate, for windows of 125000 and of five samples
+NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over sampling rate: windows of 125000 and five samples
 
 
 def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """Filter along axis 0 with a Butterworth filter run forward and backward, for zero phase and twice the order.
+    """Filter along axis 0 with a forward-backward Butterworth filter, which has zero phase and twice the order.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
 
 
 def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Differentiate along axis 0 by second-order central differences on the true timestamps, one-sided at the ends.
+    """Differentiate along axis 0 by second-order central differences at the given times, one-sided at the ends.
 
     Parameters
     ----------
@@ -71,14 +71,13 @@ def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
     """Run a streaming filter forward and backward along axis 0, for zero phase and squared gain.
 
-    Point reflection extends the record at both ends until the filter has settled. The memory of the operator is
-    cleared.
+    The record is extended by point reflection at both ends, by the settling time of the filter. The operator is reset.
 
     Parameters
     ----------
     operator : ExpFilter, LowPass2 or Notch.
     x : (N, ...) samples, finite.
-    t : (N,) times [s], strictly increasing; required for operators without dt and for unevenly spaced samples.
+    t : (N,) times [s], strictly increasing; required for operators without dt, and for unevenly spaced samples.
 
     Returns
     -------
@@ -124,7 +123,7 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
     ----------
     x : (N, ...) samples, finite.
     rate : sampling rate [Hz].
-    factor : at least 1; the new rate is ``rate / factor``.
+    factor : decimation factor, at least 1; the new rate is ``rate / factor``.
 
     Returns
     -------
@@ -143,9 +142,9 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
 
 
 def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
-    """Differentiate along axis 0 by cubic polynomials fitted to a sliding window (Savitzky-Golay): zero phase.
+    """Differentiate along axis 0 with a zero-phase Savitzky-Golay filter (cubic polynomials in a sliding window).
 
-    The window has the odd number of samples for which the 3 dB bandwidth relative to the ideal derivative is nearest to
+    The odd window length is chosen to bring the 3 dB bandwidth, relative to the ideal derivative, closest to
     `bandwidth`.
 
     Parameters
@@ -175,8 +174,8 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
     dt = float(np.mean(steps))
     if np.max(np.abs(steps - dt)) > UNEVEN * dt:
         raise ShapeError(
-            f"Expected uniform times, got steps from {steps.min():.4g} s to {steps.max():.4g} s. Resample the record "
-            "first, or use central_diff."
+            f"Expected evenly spaced times, got steps from {steps.min():.4g} s to {steps.max():.4g} s. Resample the "
+            "record first, or use central_diff."
         )
     bandwidth = number(bandwidth, "the bandwidth [Hz]")
     window = _window(bandwidth * dt)
@@ -188,7 +187,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
 
 
 def _window(bandwidth: float) -> int:
-    """Return the odd window whose derivative has the 3 dB bandwidth nearest to `bandwidth` [cycles per sample]."""
+    """Return the odd window length with the 3 dB bandwidth closest to `bandwidth` [cycles per sample]."""
     from scipy.signal import savgol_coeffs
 
     if not NARROWEST <= bandwidth < WIDEST:
@@ -215,7 +214,7 @@ def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
 def _record(x: np.ndarray) -> np.ndarray:
     x = numbers(x, "samples", ShapeError)
     if x.ndim < 1:
-        raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Pass an array.")
+        raise ShapeError("Expected samples of shape (N, ...), got a single number. Pass an array.")
     return x
 
 

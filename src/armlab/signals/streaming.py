@@ -1,9 +1,8 @@
-"""Streaming operators with memory for the control loop: one output sample per input sample.
+"""Stateful streaming operators for the control loop: one output sample per input sample.
 
 All operators have ``step(x)`` or ``step(x, t)``, ``run(x)`` or ``run(x, t)`` (bit-identical to a loop over `step`), and
-``reset(init)``. A sample is a number or an array of constant shape. The step h is `dt` or the difference of the
-timestamps, so filters keep their time constants under jitter. A non-finite sample returns NaN and leaves the memory
-unchanged.
+``reset(init)``. A sample is a number or an array of constant shape. The step h is `dt` or the time stamp difference, so
+filters keep their time constants under jitter. A non-finite sample returns NaN and leaves the state unchanged.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ __all__ = ["CausalDiff", "Differentiator", "ExpFilter", "Integrator", "LowPass2"
 
 RULES = ("trapezoid", "euler")
 BUTTERWORTH = float(np.sqrt(0.5))
-SETTLED = 12.0  # time constants in which the initial state decays to 6e-6
+SETTLED = 12.0  # time constants, after which the initial state has decayed to 6e-6
 
 
 class Operator:
-    """Base class of operators with memory. Copies and pickles keep the memory.
+    """Base class of stateful operators. Copies and pickles preserve the state.
 
     Parameters
     ----------
     kernel : the compiled operator.
-    dt : step [s], NaN if every sample has a timestamp.
+    dt : step [s]; NaN if every sample has a time stamp.
     settling : settling time of a filter [s]; 0 for other operators.
     """
 
@@ -46,51 +45,51 @@ class Operator:
         return f"<{type(self).__name__}, {rate}, {self.skipped} samples skipped>"
 
     def __copy__(self) -> Self:
-        """Return an independent operator with the same memory."""
+        """Return an independent operator with the same state."""
         return deepcopy(self)
 
     def step(self, x: np.ndarray | float, t: float | None = None) -> np.ndarray | float:
-        """Advance by one sample and return the output, of the same shape.
+        """Advance by one sample and return an output of the same shape.
 
         Parameters
         ----------
         x : sample, a number or an array.
-        t : timestamp [s], for every sample or for none; default: a step of dt.
+        t : time stamp [s], required for all samples or none; default: a step of dt.
 
         Raises
         ------
         ShapeError : the shape differs from that of the first sample, times do not increase, or only some samples have
-            timestamps.
+            time stamps.
         """
         return self._kernel.step(x, t)
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-        """Process samples (N, ...) from the current memory, and return the outputs (N, ...).
+        """Process samples (N, ...) from the current state, and return the outputs (N, ...).
 
         Parameters
         ----------
         x : (N, ...) samples.
-        t : (N,) timestamps [s] or None.
+        t : (N,) time stamps [s], or None.
         """
         return self._kernel.run(x, t)
 
     def reset(self, init: np.ndarray | float | None = None) -> None:
-        """Clear the memory and the gap counters; the next sample is the first.
+        """Reset the state and the counters; the next sample is treated as the first.
 
         Parameters
         ----------
-        init : new initial value; default: the value from construction.
+        init : new initial value; default: the value passed to the constructor.
         """
         self._kernel.reset(init)
 
     @property
     def gaps(self) -> int:
-        """Number of gaps: steps longer than 1.5 dt or, without dt, longer than 1.5 times the first step."""
+        """Number of gaps, that is, steps longer than 1.5 dt or, without dt, 1.5 times the first step."""
         return self._kernel.gaps
 
     @property
     def longest_gap(self) -> float:
-        """Longest gap [s]; 0 without gaps."""
+        """Longest gap [s], or 0 without gaps."""
         return self._kernel.longest_gap
 
     @property
@@ -102,8 +101,8 @@ class Operator:
 class Integrator(Operator):
     """Integral of a signal: ``I_k = I_{k-1} + h (x_k + x_{k-1}) / 2``, or ``+ h x_k`` with the Euler rule.
 
-    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). The operator corresponds to the macro
-    @integrate of TFRT-7651 (Bagge Carlson and Haage 2017, section 4.1).
+    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). Counterpart of the macro @integrate in
+    TFRT-7651 (Bagge Carlson and Haage 2017, section 4.1).
 
     Parameters
     ----------
@@ -122,8 +121,8 @@ class Integrator(Operator):
 class Differentiator(Operator):
     """Backward difference ``(x_k - x_{k-1}) / h``; the first step returns 0, or ``(x_0 - init) / dt``.
 
-    The operator corresponds to the macro @differentiate of TFRT-7651. It amplifies noise by 1/h; `CausalDiff` also
-    filters.
+    It amplifies noise by 1/h; `CausalDiff` also filters the signal. Counterpart of the macro @differentiate in
+    TFRT-7651.
 
     Parameters
     ----------
@@ -138,10 +137,10 @@ class Differentiator(Operator):
 
 
 class ExpFilter(Operator):
-    """First-order low-pass ``y_k = a y_{k-1} + (1 - a) x_k`` with ``a = exp(-h / T)`` for the actual step h.
+    """First-order low-pass filter ``y_k = a y_{k-1} + (1 - a) x_k`` with ``a = exp(-h / T)`` for the actual step h.
 
-    The filter starts at the first sample or, if `init` is given, one step dt earlier. The macro @expfilt of TFRT-7651
-    takes `a` instead of `T`, as does `from_alpha`.
+    The filter starts at the first sample or, with `init`, one step dt before it. The macro @expfilt in TFRT-7651 takes
+    `a` instead of `T`, as does `from_alpha`.
 
     Parameters
     ----------
@@ -164,20 +163,20 @@ class ExpFilter(Operator):
 
         Parameters
         ----------
-        alpha : forgetting factor in (0, 1) per step of dt; higher is smoother.
+        alpha : forgetting factor per step dt, in (0, 1); higher values smooth more.
         dt : step [s].
         init : initial value.
         """
         if not 0 < number(alpha, "the forgetting factor alpha", ConfigError) < 1:
-            raise ConfigError(f"Expected alpha between 0 and 1, got {alpha!r}. Try 0.99; higher is smoother.")
+            raise ConfigError(f"Expected alpha between 0 and 1, got {alpha!r}. Try 0.99; higher values smooth more.")
         return cls(-_step(dt) / np.log(alpha), dt, init)
 
 
 class LowPass2(Operator):
-    """Causal second-order Butterworth low-pass: ``y'' + sqrt(2) w y' + w^2 y = w^2 x``, ``w = 2 pi cutoff``.
+    """Causal second-order Butterworth low-pass filter: ``y'' + sqrt(2) w y' + w^2 y = w^2 x``, ``w = 2 pi cutoff``.
 
-    The solution is exact for piecewise linear input, so jitter has no effect. The filter starts at rest at the first
-    sample or at init, and delays slow signals by ``sqrt(2) / w``.
+    The discretisation is exact for piecewise linear input, so jitter causes no error. The filter starts at rest at the
+    first sample or at `init`. It delays slow signals by ``sqrt(2) / w``.
 
     Parameters
     ----------
@@ -194,9 +193,9 @@ class LowPass2(Operator):
 
 
 class CausalDiff(Operator):
-    """Derivative of the output of `LowPass2`, without noise amplification above the cut-off.
+    """Derivative of the output of `LowPass2`, without noise amplification above the cut-off frequency.
 
-    The derivative is exact for ramps after settling, and starts at 0.
+    The output starts at 0 and is exact for ramps after settling.
 
     Parameters
     ----------
@@ -214,7 +213,7 @@ class CausalDiff(Operator):
 class Notch(Operator):
     """Notch filter: ``(s^2 + w^2) / (s^2 + w / Q s + w^2)``, ``w = 2 pi frequency``.
 
-    The solution is exact for piecewise linear input. The filter starts at rest at the first sample.
+    The discretisation is exact for piecewise linear input. The filter starts at rest at the first sample.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Simulated arm and EGM controller with known ground truth; the wire carries only measurements.
+"""Simulated arm and EGM controller with known ground truth, of which only measurements are transmitted.
 
-Names are imported on first use, because the help of ``armlab sim`` shows settings and needs no NumPy.
+Names are imported on first use, so the help of ``armlab sim`` can show settings without importing NumPy.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ MOTORS = {"undefined": 0, "on": 1, "off": 2}
 """Motor states by name."""
 
 RAPID = {"undefined": 0, "stopped": 1, "running": 2}
-"""RAPID states by name. Real controllers may report "undefined" after a restart although RAPID runs."""
+"""RAPID states by name. Real controllers may report "undefined" after a restart, although RAPID is running."""
 
 
 class StateScript:
@@ -40,15 +40,15 @@ class StateScript:
             self._states.append(states[name])
 
     def at(self, t: float) -> int:
-        """Return the state at robot time `t`; the first state also applies earlier."""
+        """Return the state at robot time `t`; the first state also applies before its start time."""
         return self._states[max(0, bisect.bisect_right(self._times, t + 1e-9) - 1)]
 
 
 class AppliedWrench:
-    """Wrench by the environment on the robot at the tool point: linear between its rows and zero outside them.
+    """Wrench exerted by the environment at the tool point: linear between its rows and zero outside them.
 
-    `t`: (N,) increasing times since guidance began [s]. `wrench`: (N, 6) rows ``[f; m]`` [N, N m] in base axes; the
-    weight of a mass of 1 kg is ``[0, 0, -9.80665, 0, 0, 0]``.
+    `t`: (N,) increasing times since guidance began [s]. `wrench`: (N, 6) rows ``[f; m]`` [N, N m] in base axes; for
+    example, ``[0, 0, -9.80665, 0, 0, 0]`` is the weight of 1 kg.
     """
 
     def __init__(self, t: np.ndarray, wrench: np.ndarray) -> None:
@@ -87,7 +87,7 @@ STRENGTH = np.repeat([80.0, 8.0], 3)  # N, N m
 
 
 class Grip:
-    """Hand on the tool from `start` to `end` in guidance time [s]: a spring-damper with limited force."""
+    """Hand that grips the tool from `start` to `end` in guidance time [s]: a spring-damper with limited force."""
 
     def __init__(self, start: float, end: float) -> None:
         if not -np.inf < start < end < np.inf:
@@ -117,7 +117,7 @@ _SHARE_OF_RANGE, _SHARE_OF_SPEED = 0.25, 0.1
 
 
 class HandPath:
-    """Joint path along which a hand leads the arm: cubic between its rows, and at rest outside them.
+    """Joint path along which a hand leads the arm: cubic between its rows and at rest outside them.
 
     `t`: (N,) increasing times since the stream began [s], at least two. `q`: (N, n) joint positions [rad or m].
     """
@@ -140,7 +140,7 @@ class HandPath:
 
     @classmethod
     def random(cls, robot: Robot, seed: int | Sequence[int] = 0, seconds: float = 600.0) -> HandPath:
-        """Return a random smooth path from home to home, within the joint limits and below 10 % of the speed limits."""
+        """Return a smooth random path from home to home, within the joint limits and below 10 % of the speed limits."""
         draw = np.random.default_rng(seed)
         t = np.arange(0.0, seconds + 1e-9, 0.05)
         room = _SHARE_OF_RANGE * np.minimum(robot.q_max - robot.q_home, robot.q_home - robot.q_min) / _WAVES
@@ -171,7 +171,7 @@ class HandPath:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """External events of one controller, which sends packets only while a RAPID program with EGM `is_open`."""
+    """External events of one controller; it sends packets only while `is_open` (a RAPID program runs EGM)."""
 
     operator: AppliedWrench | None = None
     hand: HandPath | None = None

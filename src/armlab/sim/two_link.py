@@ -1,9 +1,8 @@
 """Two-link arm in a vertical plane with closed-form dynamics and kinematics, for testing controllers.
 
 The arm has point masses at the ends of two massless links, and viscous and Coulomb friction in both joints. q_1 is zero
-when the arm hangs down, and increases counter-clockwise; q_2 is relative to the first link; x points right, y up.
-Functions broadcast over leading axes. The default parameters are those of the predecessor. Wrong shapes raise
-ShapeError.
+when the arm hangs down and increases counter-clockwise; q_2 is relative to the first link. x points right and y up.
+Functions broadcast over leading axes. Wrong shapes raise ShapeError.
 
 The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb tanh(100 qd) = tau`` with::
 
@@ -11,8 +10,8 @@ The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb ta
     h = m2 l1 l2 sin q2 (-2 qd1 qd2 - qd2^2, qd1^2)
     G = g ((m1 + m2) l1 sin q1 + m2 l2 sin(q1 + q2), m2 l2 sin(q1 + q2))
 
-The model is TwoLink of DynamicMovementPrimitives.jl, apart from M_11, the gravity of 9.82 m/s^2 and the zero torque at
-rest.
+The model and its default parameters are those of TwoLink in DynamicMovementPrimitives.jl, apart from M_11, the gravity
+of 9.82 m/s^2 and the zero torque at rest.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ __all__ = [
     "rhs",
 ]
 
-_SHARPNESS = 100.0  # s/rad: Coulomb friction is complete above a few hundredths of a rad/s
-_AT_REACH = 1e-12  # relative: rounding tolerance of the stretched arm
+_SHARPNESS = 100.0  # s/rad: Coulomb friction is fully developed above a few hundredths of a rad/s
+_AT_REACH = 1e-12  # relative rounding tolerance at full extension
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class TwoLink:
     l1, l2 : lengths of the links [m].
     viscous : viscous friction [N m s/rad].
     coulomb : Coulomb friction [N m].
-    gravity : downward acceleration of gravity [m/s^2].
+    gravity : gravitational acceleration, downward [m/s^2].
 
     Raises
     ------
@@ -81,7 +80,7 @@ class TwoLink:
 
 
 ARM = TwoLink()
-"""The arm in the predecessor's demonstration."""
+"""Arm with the default parameters."""
 
 
 def mass_matrix(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
@@ -181,7 +180,7 @@ def jacobian(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
 
 def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = ARM) -> np.ndarray:
-    """Return joint positions (..., 2) [rad] that put the tip at p.
+    """Return joint positions (..., 2) [rad] that place the tip at p.
 
     With r the distance of p from the shoulder: ``cos q2 = (r^2 - l1^2 - l2^2) / (2 l1 l2)`` and ``q1 = atan2(x, -y) -
     atan2(l2 sin q2, l1 + l2 cos q2)``.
@@ -193,7 +192,7 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
 
     Raises
     ------
-    ShapeError : wrong shape, or a point out of reach; the message states its distance.
+    ShapeError : wrong shape, or a point out of reach; the message contains its distance.
     UnknownName : `elbow` is neither "down" nor "up".
     """
     if elbow not in ("down", "up"):

@@ -1,3 +1,3 @@
-"""Pure codecs between bytes and SI values, without I/O; only they use millimetres, degrees and milliseconds."""
+"""Pure codecs between bytes and SI values, without I/O; no other code uses millimetres, degrees or milliseconds."""
 
-__all__ = []  # import armlab.wire.egm or armlab.wire.cdr: each brings its own dependencies
+__all__ = []  # import armlab.wire.egm or armlab.wire.cdr directly; each has its own dependencies

@@ -1,4 +1,4 @@
-"""Positions of the numbers in a CDR message, for reading and changing ROS 2 messages without building objects."""
+"""Layout of CDR messages, used to read and modify numbers in ROS 2 messages without creating objects."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _SIZES = {
     "float32": ("f4", 4),
     "float64": ("f8", 8),
 }
-_HEADER = 4  # encapsulation: kind of CDR and byte order; alignment counts from its end
+_HEADER = 4  # bytes of encapsulation (CDR kind and byte order); alignment is relative to their end
 _MAX_DEPTH = 32
-_MAX_FIELDS = 100_000  # of a type, including nested types
+_MAX_FIELDS = 100_000  # maximum number of fields of a type, including nested types
 _MAX_NAME = 1000
 _EMPTY = 64  # fields allowed in addition to those per byte
-_PER_BYTE = 16  # fields per byte, because nested messages may add no byte
+_PER_BYTE = 16  # maximum number of fields per byte; nested messages may add fields without bytes
 _LETTERS = 16  # characters of a name that count as one field
-NO_MEMBER = "structure_needs_at_least_one_member"  # a dummy byte in ROS 2
+NO_MEMBER = "structure_needs_at_least_one_member"  # dummy byte in ROS 2
 
 _BYTE = (1, ("uint8", 0))
 Definitions = Mapping[str, list[tuple[str, Any]]]
@@ -56,9 +56,9 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Numbers and strings of one message."""
+    """Positions of the numbers, and the strings, of one message."""
 
-    fields: tuple[Field, ...]  # in the order of the message, including empty sequences
+    fields: tuple[Field, ...]  # in message order, including empty sequences
     texts: Mapping[str, str | tuple[str, ...]]  # strings and tuples of strings by dotted name
 
     def field(self, path: str) -> Field | None:
@@ -68,7 +68,7 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
-    """Return the fields of a message type and its nested types, parsed from the text of its schema."""
+    """Return the fields of a message type and its nested types, parsed from its schema text."""
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
     if encoding not in ("ros2msg", "ros2idl"):
@@ -77,7 +77,7 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
         types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
     except (TypesysError, ValueError, KeyError, RecursionError) as error:
         reason = textwrap.shorten(str(error), 120)  # the error repeats the whole text
-        raise LogError(f"Expected a {encoding} definition of {name}, got an invalid text: {reason}.") from None
+        raise LogError(f"Expected a {encoding} definition of {name}, got invalid text: {reason}.") from None
     return bounded(name, with_bytes({typename: entry[1] for typename, entry in types.items()}))
 
 
@@ -98,7 +98,7 @@ class _Size:
 
 
 def bounded(name: str, types: Definitions) -> Definitions:
-    """Return the definitions of a type unchanged; raise if nesting makes the type exponentially large."""
+    """Return the definitions unchanged; raise an error if nesting makes the type exponentially large."""
     known: dict[str, _Size] = {}
 
     def size(one: str, depth: int) -> _Size:
@@ -117,9 +117,7 @@ def bounded(name: str, types: Definitions) -> Definitions:
             element, count, is_sequence = held(description)
             inner = size(element, depth + 1) if element else _Size(fields=1, least=1, walked=1)
             if count < 0:
-                raise LogError(
-                    f"Expected {field[:80]} of {one[:80]} to have a length of at least 0, got a negative one."
-                )
+                raise LogError(f"Expected {field[:80]} of {one[:80]} to have a length of at least 0, got {count}.")
             if is_sequence and inner.walked > _PER_BYTE * inner.least:
                 raise LogError(
                     f"Expected at most {_PER_BYTE} fields per byte in the elements of {field[:80]} of {one[:80]}, got "
@@ -150,14 +148,14 @@ def _refuse_large(name: str, size: _Size) -> None:
 
 def held(description: Any) -> tuple[str, int, bool]:
     """Return a field's message type ("" for numbers and strings), its count, and whether it is a sequence."""
-    # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
+    # kinds in rosbags: 1 basic type, 2 message, 3 fixed-length array, 4 sequence
     kind, detail = int(description[0]), description[1]
     (node, name), length = (description, 1) if kind < 3 else detail
     return name if int(node) == 2 else "", length if kind == 3 else 1, kind == 4
 
 
 def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
-    """Return the positions of the numbers and strings of one message."""
+    """Return the layout of one message."""
     if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
         raise LogError(
             f"Expected a {name} in plain CDR, got data starting with {bytes(raw[:4]).hex(' ') or 'no bytes'}."
@@ -171,7 +169,7 @@ def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
 
 
 class _Walk:
-    """Parser that makes one pass over a message."""
+    """Single-pass parser of a message."""
 
     def __init__(self, raw: bytes | memoryview, order: str, types: Definitions) -> None:
         self.raw, self.order, self.types = raw, order, types

@@ -192,8 +192,8 @@ def test_rounding_is_not_a_clamp(robot: Robot, limits: Limits) -> None:
 @pytest.mark.parametrize(
     ("able", "tau_max", "tau", "words"),
     [
-        (["position", "velocity"], 10.0, 0.0, r'only carries position, velocity\..*torque="admittance"'),
-        ([], 10.0, 0.0, "only carries no references"),
+        (["position", "velocity"], 10.0, 0.0, r'supported by this link: position, velocity\)\..*torque="admittance"'),
+        ([], 10.0, 0.0, "supported by this link: none"),
         (TORQUES, None, 0.0, r"no torque limits.*tau_max"),
         (TORQUES, 10.0, np.nan, "NaN is never"),
     ],

@@ -245,7 +245,7 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
     failure = bench.machine.failure
     assert isinstance(failure, NoRobot)
     place = f"127.0.0.1:{bench.port.port}"
-    for words in ("within 7 s", "1 unparsable", place, "only from programs on this computer", "firewall"):
+    for words in ("within 7 s", "1 unparsable", place, "packets only from this computer", "firewall"):
         assert words in str(failure)
 
 

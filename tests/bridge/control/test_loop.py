@@ -411,7 +411,7 @@ def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> Non
         count += 1
     assert count == 501  # the first is the packet after which the interrupt is seen
     assert isinstance(hands.loop.failure, LinkError)
-    assert any("Expected the replies that bring the arm to rest to be sent" in text for text in hands.warned)
+    assert any("Expected to send the replies that bring the arm to rest" in text for text in hands.warned)
 
 
 def sway(state: State) -> Command:

@@ -72,7 +72,7 @@ def test_a_command_stays_when_what_the_controller_records_does_not_fit(robot: Ro
     np.testing.assert_array_equal(table["q_ref"], table["q"] + 1.0)
     assert "grip" not in table
     ((_, told),) = recording.events
-    assert told.startswith("A row was stored without the record of the controller: Expected")
+    assert told.startswith("A row was stored without the controller's record: Expected")
     assert "grip" in told
 
 
@@ -174,7 +174,7 @@ def test_who_was_served() -> None:
         "Rows to the server other: 1. To its clients: unknown, the server did not answer.",
         "Commands to yumi_left: labcomm 127.0.0.1:7 6.",
         "Commands to yumi_right: none.",
-        "Refused commands of clients: local 1 3.",
+        "Refused client commands: local 1 3.",
         "Parameter values: gain = 2.0.",
     ]
     assert served({}) == []

@@ -93,9 +93,9 @@ def test_type_bindings_are_sent_on_request() -> None:
         ("int n[_,_]", [[1], [2, 3]], "n: expected rows of equal length, got 1 and 2 values"),
         ("int n[_,_]", [[1], [None]], r"n\[1\]\[0\]: expected a value of type int, got None"),
         ("int n[2,2]", np.zeros((2, 3), int), "n: expected 2 values, got 3"),
-        ("void n", {"a": 1}, r"n: expected no fields, got also a"),
+        ("void n", {"a": 1}, r"n: expected no fields, but also got a"),
         ("struct { int a; int b; } n", {"a": 1}, "n: expected the fields a, b, but b is missing"),
-        ("struct { int a; int b; } n", {"a": 1, "b": 2, "c": 3}, "n: expected the fields a, b, got also c"),
+        ("struct { int a; int b; } n", {"a": 1, "b": 2, "c": 3}, "n: expected the fields a, b, but also got c"),
         ("struct { int a; int b; } n", 3, "n: expected a dict, got 3"),
         ("struct { string s; int a; double b[2]; } n", {"s": "", "a": 1, "b": [1.0]}, r"n\.b: expected 2 values"),
         (

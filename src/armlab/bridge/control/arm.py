@@ -1,4 +1,4 @@
-"""`ArmSession`: one arm during a run; it receives packets, sends one reply per packet, and records both."""
+"""`ArmSession`: one arm during a run, which receives packets, replies to each packet, and records both."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BINS = 20_000  # bins of 1 us; the last bin counts all longer times
 
 
 class Latency:
-    """Histogram of the latency from arrival to reply, with 1 us bins in constant memory."""
+    """Histogram of the arrival-to-reply latency, with 1 us bins in constant memory."""
 
     count: int
     longest: float
@@ -45,7 +45,7 @@ class Latency:
         self.longest = max(self.longest, 1e-3 * nanoseconds)
 
     def percentile(self, percent: float) -> float:
-        """Return a percentile of the latency [us]; NaN without replies."""
+        """Return a latency percentile [us], or NaN if there are no replies."""
         if not self.count:
             return float("nan")
         index = int(np.searchsorted(np.cumsum(self._bins), percent / 100.0 * self.count))
@@ -56,7 +56,7 @@ class Latency:
         return {name: self.percentile(percent) for name, percent in names.items()} | {"max": self.longest}
 
     def histogram(self) -> dict[str, list[int]]:
-        """Return the upper edges of the bins ("below_us", doubling from 2 us), and the "count" of replies per bin."""
+        """Return the upper bin edges ("below_us", doubling from 2 us) and the reply "count" per bin."""
         limits = [1 << k for k in range(1, _BINS.bit_length() + 1)]
         counts = [sum(self._bins[before:limit]) for before, limit in zip([0, *limits], limits, strict=False)]
         return {"below_us": limits, "count": counts}
@@ -68,7 +68,7 @@ _MAX_SKIPPED = 16  # consecutive skipped replies; the robot must get a reply wel
 
 
 class QueueTrimming:
-    """Skips replies to empty the receive queue of the robot; reports a queue that stays full."""
+    """Skips replies until the robot's receive queue is empty; reports a queue that stays full."""
 
     left_out: int
 
@@ -78,7 +78,7 @@ class QueueTrimming:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether to skip the reply to this packet; one reply is skipped per message queued for three cycles."""
+        """Return whether to skip the reply to this packet; each message queued for three cycles costs one reply."""
         before, self._depth = self._depth, depth
         if depth <= 0 and before <= 0:
             return False
@@ -96,14 +96,14 @@ class QueueTrimming:
         return True
 
 
-_DROPS = 64  # refused datagrams per wake-up, so that a flood does not block the loop
-_BACKLOG = 1000  # datagrams per wake-up, more than the queue contains after any stall
-_DEADLINE = 0.75  # of a period, from arrival to reply
+_DROPS = 64  # maximum number of refused datagrams per wake-up, so a flood does not block the loop
+_BACKLOG = 1000  # maximum number of datagrams per wake-up, more than arrive during any stall
+_DEADLINE = 0.75  # fraction of a period, from arrival to reply
 _SILENCE = 0.5  # s of silence after which a session ends
 
 
 class End(NamedTuple):
-    """Port and codec of an arm; `admittance` converts torques to velocities (None: torques are sent or refused)."""
+    """Port and codec of an arm; `admittance` converts torques to velocities (None: no conversion)."""
 
     robot: Robot
     port: Port
@@ -112,7 +112,7 @@ class End(NamedTuple):
 
 
 class ArmSession:
-    """One arm of a loop; the loop holds its lock while it calls the methods."""
+    """One arm of a loop; the loop calls all methods under its lock."""
 
     robot: Robot
     port: Port
@@ -170,13 +170,13 @@ class ArmSession:
 
     @property
     def stamp_ns(self) -> int:
-        """Current time [ns]: the wall clock, or in lockstep the robot's clock (0 before the first packet)."""
+        """Current time [ns]: wall clock or, in lockstep, the robot's clock (0 before the first packet)."""
         if self._in_lockstep and self.newest is None:
             return 0
         return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
 
     def set_command(self, command: Command | None) -> None:
-        """Store the command of the controller for an arm that does not pace the loop."""
+        """Store the controller's command for an arm that does not pace the loop."""
         self._given, self._given_age = kept(command), 0.0
 
     def kept_command(self, sample: Sample, longest: float) -> Command | None:
@@ -185,7 +185,7 @@ class ArmSession:
         return self._given if self._given_age <= longest else None
 
     def receive(self, arrival: Arrival | None, unanswered: Sample | None = None) -> Sample | None:
-        """Read all waiting datagrams (bounded); return the newest valid packet, else `unanswered`."""
+        """Read all waiting datagrams (bounded); return the newest valid packet, or `unanswered`."""
         pending, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
         while arrival is not None:
             taken += 1
@@ -198,13 +198,13 @@ class ArmSession:
                 self._arrival, pending = arrival, sample
                 self._observe(sample, woken_ns)
             if refused == _DROPS or taken == _BACKLOG:
-                break  # before the next read, whose datagram would be lost
+                break  # leave before the next read, whose datagram would be lost
             arrival = self.port.receive()
         return pending
 
     def _observe(self, sample: Sample, woken_ns: int) -> None:
         if sample.fresh:
-            self.set_command(None)  # the age of the command of the last session does not include the silence
+            self.set_command(None)  # the last command is outdated, because its age does not include the silence
         if sample.fresh and sample.session > 1:
             self.supervisor.judge()
         if (
@@ -273,14 +273,14 @@ class ArmSession:
             )
             self.recording.event(what, warn=True)
             return -1, -1
-        self._went_out = True  # also if a later step fails
+        self._went_out = True  # stays True if a later step fails
         session.replied(now)
         return seq, now
 
     def record(self) -> None:
         """Record the packets answered or overtaken since the last call; called when no reply is due.
 
-        The next call retries a row that could not be stored for lack of memory.
+        If memory was too low to store a row, the next call tries again.
         """
         while self.rows:
             sample, wall_ns = self.rows[0], self._wall_ns

@@ -1,4 +1,4 @@
-"""`ExternalReferences`: limited references of external axes, and RAPID data."""
+"""`ExternalReferences`: limited references for external axes, and RAPID data to send."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from armlab.errors import CommandRefused
 from armlab.state import Command
 from armlab.wire.egm import Beside, Packet
 
-_MOST_DATA = 40  # values in EgmRAPIDdata
+_MOST_DATA = 40  # maximum number of values in EgmRAPIDdata
 _OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as in `feedback`
-_KNOWS_DATA = "7"  # RobotWare version with RAPID data
+_KNOWS_DATA = "7"  # RobotWare version that supports RAPID data
 
 
 class ExternalReferences:
@@ -54,7 +54,7 @@ class ExternalReferences:
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback; return the error text of the first in a series of implausible packets, else "".
+        """Check the feedback; return an error message for the first of consecutive implausible packets, otherwise "".
 
         Implausible feedback must never become a reference.
         """
@@ -74,8 +74,8 @@ class ExternalReferences:
     def rest(self, packet: Packet) -> Beside | None:
         """Return the measured positions as the external references, for a robot that does not follow references.
 
-        The next commanded position must be near these positions. If the number of axes differs from that of the limits,
-        the axes are disabled.
+        The next commanded position must be near these positions. If the limits are for a different number of axes, the
+        axes are disabled.
         """
         self._entered = False
         if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
@@ -156,7 +156,7 @@ class ExternalReferences:
         before, memory = limiter.q, limiter.memory
         reply = limiter.step(wanted, None, dt, longest)
         if reply.refused:
-            limiter.memory = memory  # this reply is not sent: the hold continues from the previous one
+            limiter.memory = memory  # this reply is not sent, so the hold continues from the previous reply
             k = abs(reply.refused) - 1
             raise CommandRefused(
                 f"Expected a position of external axis {k + 1} near the last position sent, {before[k]:.4f}, got "

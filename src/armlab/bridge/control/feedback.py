@@ -1,4 +1,4 @@
-"""Plausibility of the feedback: joint limits, speed between two packets, following error."""
+"""Feedback plausibility: joint limits, speed between packets, and following error."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return the reason for implausible feedback, or "" if the feedback is plausible."""
+        """Return why the feedback is implausible, or "" if it is plausible."""
         self._since += dt
         same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
@@ -111,7 +111,7 @@ class FeedbackCheck:
 
 
 def outside_range(q: np.ndarray, robot: Robot) -> str:
-    """Return the error text for feedback (n,) far outside the range of a joint, or "" if it is inside."""
+    """Return an error message if the feedback (n,) is far outside the range of a joint, otherwise ""."""
     q = axes_of(robot)(q)
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
     i = int(outside.argmax())
@@ -133,7 +133,7 @@ _ABSENT = 3  # consecutive packets without a state after which the state counts 
 
 
 def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
-    """Return the reason why the robot would not follow a reference, or "" if it would; states as in a `Packet`."""
+    """Return why the robot would not follow a reference, or "" if it would; the states are those of a `Packet`."""
     if motors != _MOTORS_ON:
         return "the motors are off" if motors else "its packets do not contain the motor state"
     if rapid not in _RAPID_MOVES:
@@ -154,7 +154,7 @@ class Readiness:
         self.is_unknown = False
 
     def not_ready_reason(self, packet: Packet) -> str:
-        """Return the reason why the robot would not follow a reference, or "" if it would."""
+        """Return why the robot would not follow a reference, or "" if it would."""
         absent = not (packet.motors and packet.mci)
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):

@@ -1,4 +1,4 @@
-"""`Limits` of a run, references of a command (`requested`), `Limiter`, and error texts for refused commands."""
+"""`Limits` of a run, the `Limiter` that applies them, and errors for refused commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
 ENTRY = 0.05
-"""Default largest distance of the first position from the held position [rad or m]."""
+"""Default maximum distance between the first commanded position and the held position [rad or m]."""
 
 _TORQUE_RISE = 0.1  # s from zero to the torque limit
 _SPEED_RISE = 0.1  # s from rest to full speed, for axes with an unknown acceleration limit
@@ -30,29 +30,28 @@ class Limits(Shown):
     Attributes
     ----------
     q_min : array, shape (n,), rad or m
-        Lowest positions.
+        Lower position limits.
     q_max : array, shape (n,), rad or m
-        Highest positions.
+        Upper position limits.
     qd_max : array, shape (n,), rad/s or m/s
-        Highest speeds.
+        Speed limits.
     qdd_max : array, shape (n,), rad/s^2 or m/s^2
-        Highest accelerations.
+        Acceleration limits.
     jump : array, shape (n,), rad or m
-        Largest step from the last position sent, in excess of ``qd_max dt``.
+        Maximum step from the last position sent, in excess of ``qd_max dt``.
     entry : array, shape (n,), rad or m
-        Largest distance of the first position from the held position; at most `jump`.
+        Maximum distance between the first commanded position and the held position; at most `jump`.
     tau_max : array, shape (n,), N m or N
-        Highest torques; None refuses torque commands.
+        Torque limits; if None, torque commands are refused.
     tau_rate : array, shape (n,), N m/s or N/s
-        Highest torque rates; None refuses torque commands.
+        Torque rate limits; if None, torque commands are refused.
     external : Limits
-        Limits of the external axes, see `Limits.of_axes`; None refuses commands to them.
+        Limits of the external axes, see `Limits.of_axes`; if None, commands to these axes are refused.
     following_error : array, shape (n,), rad or m
-        Largest distance of the feedback from the reference, in excess of 0.05 s times the reference speed; default:
-        `jump`.
+        Maximum distance between feedback and reference, in excess of 0.05 s times the reference speed; default: `jump`.
     lag : float, s
-        Time constant with which the arm follows its reference: 1/k for a gain k of EGM's position loop (0.2 s for
-        the default of 5 1/s). The reference starts braking earlier, by the lag times its speed.
+        Time constant of the arm's response to its reference: 1/k for a gain k of EGM's position loop (0.2 s for the
+        default of 5 1/s). To compensate, the reference brakes earlier, by a distance of lag times speed.
 
     Raises
     ------
@@ -93,7 +92,7 @@ class Limits(Shown):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
         if not np.all(self.entry <= self.jump):
             raise ConfigError(
-                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}. A first "
+                f"Expected Limits with entry at most jump for each joint, got {self.entry} and {self.jump}. A first "
                 "position further away would be refused as a jump: reduce entry and approach the position gradually."
             )
 
@@ -110,7 +109,7 @@ class Limits(Shown):
         following_error: float | np.ndarray | None = None,
         lag: float = 0.2,
     ) -> Limits:
-        """Return limits from the description of a robot.
+        """Return limits derived from a robot description.
 
         Parameters
         ----------
@@ -163,11 +162,11 @@ class Limits(Shown):
         Parameters
         ----------
         q_min : array, shape (k,), rad or m
-            Lowest positions.
+            Lower position limits.
         q_max : array, shape (k,), rad or m
-            Highest positions.
+            Upper position limits.
         qd_max : array, shape (k,), rad/s or m/s
-            Highest speeds.
+            Speed limits.
 
         Raises
         ------
@@ -179,7 +178,7 @@ class Limits(Shown):
 
 
 class Reply(NamedTuple):
-    """Reference within the limits."""
+    """Limited reference."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -196,7 +195,7 @@ Memory = tuple[np.ndarray, np.ndarray | None]
 
 
 class Limiter:
-    """Tracks the last reference sent and limits the next reference by `kernels.limit_reference`."""
+    """Tracks the last reference sent and limits the next reference with `kernels.limit_reference`."""
 
     def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         self._reach = reach
@@ -277,13 +276,13 @@ def limiter_of(limits: Limits, robot: Robot) -> Limiter:
 
 
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the map from joint positions (n,) to the axis positions that the limits apply to."""
+    """Return the function that maps joint positions (n,) to axis positions, to which the limits apply."""
     linkage = Linkage.of(robot)
     return (lambda joints: joints) if linkage is None else linkage.axes
 
 
 JointName = Callable[[int], str]
-"""Function that returns the name of a joint from its index (from 0)."""
+"""Function that maps a joint index (from 0) to the joint name."""
 
 _DOUBLE = np.dtype(np.float64)
 _REAL = "f", "i", "u"  # dtype kinds; other kinds would be converted to numbers silently
@@ -291,7 +290,7 @@ _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
 def requested(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return position, velocity and torque (n,) of a command (None if unset); raise an error if they are invalid."""
+    """Return the position, velocity and torque (n,) of a command (None if unset); raise an error if one is invalid."""
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
@@ -330,7 +329,7 @@ def numbers(values: Any) -> np.ndarray:
 
 
 def kept(command: Command | None) -> Command | None:
-    """Return a command with copied arrays; the controller may reuse its arrays for the next command."""
+    """Return a command with copied arrays, because the controller may reuse its arrays."""
     if not isinstance(command, Command):
         return command
     return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
@@ -344,7 +343,7 @@ def _copied(values: Any) -> Any:
 
 
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
-    """Return the error text for a reference that the limiter refused."""
+    """Return the error message for a reference that the limiter refused."""
     i = abs(refused) - 1
     joint, axes = joint_name(robot, i), axes_of(robot)
     if refused > 0 or q is None:  # only a position can jump
@@ -354,7 +353,7 @@ def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.
 
 
 def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot, name: JointName) -> str:
-    """Return the error text for a position (n,) that is more than `jump` (n,) from the last position sent, else ""."""
+    """Return an error message if `q` (n,) is further than `jump` (n,) from the last position sent, otherwise ""."""
     axes = axes_of(robot)
     q, sent = axes(q), axes(sent)
     excess = np.abs(q - sent) - jump
@@ -377,7 +376,7 @@ def entry_refusal(
     name: JointName | None = None,
     where: str = "holds",
 ) -> str:
-    """Return the error text for a first position that is too far from the held (or actual) position, else ""."""
+    """Return an error message if the first position is too far from the held (or actual) position, otherwise ""."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
@@ -393,7 +392,7 @@ def entry_refusal(
 
 
 def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
-    """Return the name of joint i (from 0), with its index in the client's message."""
+    """Return the name of joint i (from 0) and its index in the client's message."""
     if first is not None:
         return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
     if by_axis:
@@ -402,7 +401,7 @@ def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = F
 
 
 def causes(robot: Robot) -> str:
-    """Return the usual causes of a distant position, and the coordinates of the reported numbers."""
+    """Return the usual causes of a distant position and, for coupled axes, the coordinates of the reported numbers."""
     usual = "Usual causes are degrees instead of radians, or a different joint order."
     are_joints = Linkage.of(robot) is None
     return usual if are_joints else f"{usual} The numbers are positions of ABB's axes, which may combine joints."

@@ -1,6 +1,6 @@
-"""Control loop. For each packet, in this order: receive, decode, call the controller, limit, send one reply, record.
+"""Control loop: receive and decode a packet, call the controller, apply the limits, send one reply, then record.
 
-Each packet gets at most one reply; a packet overtaken by a newer packet gets no reply. One arm paces the loop: its
+Each packet gets at most one reply, and a packet overtaken by a newer packet gets none. One arm paces the loop: its
 packets trigger the controller calls. The other arms receive their newest commands in their own ticks. All code except
 the controller runs under one lock, which the watchdog thread takes when the controller is overdue.
 
@@ -120,19 +120,19 @@ def _parts(name: str, values: Any, robots: Sequence[Robot]) -> Sequence[np.ndarr
 
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
-"""Controller: maps a State to a Command or None (hold), or, for several arms, to one Command per arm."""
+"""Controller: maps a State to a Command or None (hold); with several arms, it may return one Command per arm."""
 
-_CHECK_EVERY = 0.05  # s between two checks for silence and interrupts
-_GRACE = 0.25  # of a period, minimum time for a controller call
-_BLAME = 0.5  # of a period; a late cycle with a longer call counts against the controller
+_CHECK_EVERY = 0.05  # s between checks for silence and interrupts
+_GRACE = 0.25  # fraction of a period, minimum time for a controller call
+_BLAME = 0.5  # fraction of a period; a late cycle with a longer call counts against the controller
 _HANGS = 1_000_000_000  # ns, duration of a call after which the controller counts as hanging
-_NAP = 2e-3  # s that the watchdog waits for a packet
-_SPARE = 1_000_000  # ns before the next packet, sufficient for garbage collection
-_PROGRESS = 0.1  # s between two progress calls
+_NAP = 2e-3  # s: pause of the watchdog between hold replies
+_SPARE = 1_000_000  # ns: time before the next packet that suffices for garbage collection
+_PROGRESS = 0.1  # s between progress calls
 _STALE_PERIODS, _STALE = 3.0, 0.02  # periods and s; the other arms hold while an arm is silent for longer than both
 _SERVES = 2.5  # periods of the pacing arm for which a command to another arm is valid
 _elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s]
-_RESERVE = 2**24  # bytes freed at the end of the run, to stop the arms and to report the cause
+_RESERVE = 2**24  # bytes freed at the end of the run, needed to stop the arms and report the cause
 
 
 class Loop:
@@ -188,9 +188,9 @@ class Loop:
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
-            self.reason = "there is no memory to end the run"
+            self.reason = "the memory needed to end the run is missing"
             text = f"Expected {_RESERVE >> 20} MiB of free memory for the end of the run: {error.strerror}. "
-            raise LinkError(f"{text}End other programs, or raise the memory limit of this program.") from error
+            raise LinkError(f"{text}Close other programs, or raise the memory limit of this program.") from error
         ended = False
         while not ended:
             try:
@@ -209,7 +209,7 @@ class Loop:
             self._reserve.close()
 
     def _fail(self, error: Exception) -> None:
-        """Stop after an internal error or an error in a custom codec or source, so that no arm keeps its speed."""
+        """Stop after an internal error or an error in a custom codec or source, so no arm keeps its speed."""
         self._free_reserve()
         self._has_failed = True
         failure = LinkError(f"Expected the cycle to run without errors, got {_named(error)}.")
@@ -285,7 +285,7 @@ class Loop:
     def answer_for_controller(self) -> None:
         """Called by the watchdog: send hold replies until the controller returns."""
         if self._taken:
-            time.sleep(_NAP)  # only the thread of the loop may wait on the ports
+            time.sleep(_NAP)  # only the loop thread may wait on the ports
         with self._lock:
             if self.overdue() > 0.0:
                 return
@@ -365,7 +365,7 @@ class Loop:
                 self._stop("the controller failed", failure)
             if not self._taken:
                 self._apply(pending, result, call_ns)
-            if not self._in_lockstep:  # counts lateness caused by the controller, not by a busy computer
+            if not self._in_lockstep:  # only lateness caused by the controller counts, not a busy computer
                 blamed = self._taken or (pace.was_late and call_ns > _BLAME * period_ns)
                 too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
                 if too_late:
@@ -417,14 +417,14 @@ class Loop:
             arm.machine.stop(reason)
 
 
-_DRY_RUNS = 20  # before a run; Python specialises code that has run several times
+_DRY_RUNS = 20  # before a run, because Python specialises code only after several executions
 
 
 class DryRun:
     """Dry run of a cycle: a separate loop replies to a synthetic packet, and the reply is discarded.
 
-    A dry run just before a packet is due reloads the code into the processor caches, because other programs use these
-    caches between packets. This shortens the reply latency by a third (benchmarks/bench_egm.py).
+    Between packets, other programs evict the code from the processor caches. A dry run just before a packet is due
+    reloads it, which shortens the reply latency by a third (benchmarks/bench_egm.py).
     """
 
     host, port, errors = "", 0, 0

@@ -20,13 +20,13 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
 
 LOOP_PRIORITY, GUARD_PRIORITY = 50, 55
-_SWITCH_INTERVAL = 5e-4  # s; with the default of Python, 5 ms, a busy controller delays the watchdog by a cycle
+_SWITCH_INTERVAL = 5e-4  # s; with Python's default of 5 ms, a busy controller would delay the watchdog by a cycle
 _DUE = 700  # number of new objects after which the youngest generation is collected
 
 
 @contextmanager
 def quiet_memory() -> Iterator[None]:
-    """Disable the garbage collector after one full collection; a collection can take as long as thirty cycles."""
+    """Run one full garbage collection, then disable the collector, which can block for thirty cycles."""
     was_enabled = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -48,7 +48,7 @@ def collect_if_due() -> None:
 
 @contextmanager
 def short_switches() -> Iterator[None]:
-    """Switch threads every 0.5 ms, so that the watchdog acts in time despite a busy controller."""
+    """Switch threads every 0.5 ms, so the watchdog acts in time even if the controller is busy."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
     try:
@@ -66,7 +66,7 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
     except (OSError, AttributeError) as error:
         on_event(
             f"The loop runs at normal priority, because real-time scheduling is not permitted ({error}). On a busy "
-            "computer, more replies are late. Set an rtprio limit in /etc/security/limits.d, or grant CAP_SYS_NICE."
+            "computer, more replies will be late. Set an rtprio limit in /etc/security/limits.d, or grant CAP_SYS_NICE."
         )
         yield False
         return
@@ -79,9 +79,9 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
 
 @contextmanager
 def interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` on Ctrl-C, SIGTERM and SIGHUP (closed terminal); has an effect only in the main thread.
+    """Call `stop` on Ctrl-C, SIGTERM and SIGHUP (closed terminal); effective only in the main thread.
 
-    A closed terminal may send SIGHUP repeatedly. A SIGHUP after any earlier signal is ignored, so that it never
+    A closed terminal may send SIGHUP repeatedly. A SIGHUP after any earlier signal is ignored, so it never
     interrupts a stop. SIGHUP stays ignored if it was ignored before (nohup).
     """
     came: list[int] = []
@@ -101,19 +101,19 @@ Wait = Literal["block", "ahead", "spin"]
 
 _AHEAD = 400_000  # ns from the start of polling to the predicted arrival
 _AFTER = 600_000  # ns from the predicted arrival to the end of polling
-_LATE_SHARE = 0.02  # fraction of the delay of a late arrival by which the prediction is corrected
+_LATE_SHARE = 0.02  # fraction of a late arrival's delay used to correct the prediction
 _LOST = 5  # periods; a larger prediction error restarts the prediction
 
 
 class Prediction:
-    """Prediction of the next arrival: the phase of the robot's cycle on our clock.
+    """Predicts the next arrival from the phase of the robot's cycle on the local clock.
 
-    Early arrivals correct the phase completely, late arrivals by 2 %, because the network can only delay packets.
+    Early arrivals correct the phase fully, late arrivals only by 2 %, because the network can only delay packets.
     """
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self.next_ns: float | None = None  # on our monotonic clock; None before the first packet
+        self.next_ns: float | None = None  # on the local monotonic clock; None before the first packet
 
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
         last, period_ns = float(arrival_ns), 1e9 * period
@@ -126,7 +126,7 @@ class Prediction:
 
 
 class Waiting:
-    """Waits for datagrams on all ports of a link, and calls `dry_run` before each predicted arrival."""
+    """Waits for datagrams on all ports of a link and calls `dry_run` before each predicted arrival."""
 
     def __init__(
         self,
@@ -174,7 +174,7 @@ _SHARE = 0.05  # fraction of late cycles within one second
 _WINDOW = 1_000_000_000  # ns
 _LONGEST_CALL = 250_000_000  # ns
 _PAUSE = 250_000_000  # ns without a call, after which the window restarts
-_NAP = 2e-3  # s between two checks of the watchdog
+_NAP = 2e-3  # s between watchdog checks
 
 
 class Lateness:
@@ -205,7 +205,7 @@ class Lateness:
 
 
 class Guard:
-    """Watchdog thread: wakes at the deadline of each cycle, and acts only if the loop is overdue."""
+    """Watchdog thread, which wakes at the deadline of each cycle and acts only if the loop is overdue."""
 
     def __init__(self, overdue: Callable[[], float], act: Callable[[], None]) -> None:
         self._overdue, self._act = overdue, act

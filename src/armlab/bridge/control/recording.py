@@ -16,7 +16,7 @@ from armlab.log import Column, Log, Recorder, Table, Tail, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-_KEPT_SECONDS = 10.0  # s of rows in `.table` of errors
+_KEPT_SECONDS = 10.0  # s of rows in the attribute `table` of errors
 _KEPT_EVENTS = 1000
 _logger = logging.getLogger("armlab.bridge")
 
@@ -25,8 +25,8 @@ class Feed(Protocol):
     """Additional consumer of the rows and events of a run; the loop calls it after each reply, so it must be fast.
 
     A feed that raises an error is dropped, and an event reports the error. Optional methods: ``begin(tell,
-    files, keep)`` receives the event callback, the files of the recording and the callback for parameter changes at the
-    start; ``summary()`` returns a dict that is added to the statistics of the run.
+    files, keep)`` is called at the start with the event callback, the recording files and the callback for parameter
+    changes; ``summary()`` returns a dict to add to the run statistics.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -39,7 +39,7 @@ class Feed(Protocol):
 
 
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
-    """Return the file of each arm; with several arms, the file names contain the side or name of the arm."""
+    """Return the file of each arm; with several arms, file names contain the arm's side or name."""
     if record is None:
         return [None] * len(robots)
     path = Path(record)
@@ -51,7 +51,7 @@ def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | Non
 
 
 class Recording:
-    """Recorder of the rows and events of one arm."""
+    """Records the rows and events of one arm."""
 
     path: Path | None
 
@@ -79,7 +79,7 @@ class Recording:
         )  # events since the last row; writing them must not delay a reply
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
-        self._early: list[Callable[[int], None]] = []  # entries that need the time stamp of the first row
+        self._early: list[Callable[[int], None]] = []  # entries waiting for the time stamp of the first row
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
         """Store one row in memory; return the stored command, or None if the command could not be stored."""
@@ -107,7 +107,7 @@ class Recording:
             return None
         if str(error) not in self._reported:
             self._reported.add(str(error))
-            self.event(f"A row was stored without the record of the controller: {error}", warn=True)
+            self.event(f"A row was stored without the controller's record: {error}", warn=True)
         return command
 
     def publish(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -119,7 +119,7 @@ class Recording:
             self.catch_up()
 
     def event(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Store an event of this arm and send it to the logger ``armlab.bridge``; `warn` selects the level warning."""
+        """Store an event of this arm and send it to the logger ``armlab.bridge``; `warn` selects the warning level."""
         self.note(f"{self._label}: {text}" if self._label else text, warn, each)
 
     def note(self, text: str, warn: bool = False, each: bool = False) -> None:
@@ -132,7 +132,7 @@ class Recording:
             self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())
 
     def catch_up(self) -> None:
-        """Store the events since the last row, and events that the rate limit delayed."""
+        """Store the events since the last row, and any events delayed by the rate limit."""
         while self._held:
             self._limited(*self._held.popleft())
         if self._limited.waiting:
@@ -150,7 +150,7 @@ class Recording:
             self._call_feeds(lambda feed: feed.event(text, warn))
 
     def _stamped(self, write: Callable[[int], None], stamp: int) -> None:
-        """Write an entry with a time stamp; in lockstep, entries before the first packet get that of the first row."""
+        """Write an entry with a time stamp; in lockstep, entries before the first packet wait for the first row."""
         if stamp:
             write(stamp)
         else:
@@ -171,7 +171,7 @@ class Recording:
                 self.event(f"A feed was dropped: it raised {type(error).__name__}: {error}.", warn=True)
 
     def _report_stop(self, recorder: Recorder) -> None:
-        """Report a failed recording once, during the run, when the user can still fix the cause."""
+        """Report a failed recording once, while the user can still fix the cause."""
         if recorder.failed is not None and recorder.failed not in self._reported:
             self._reported.add(recorder.failed)
             self.event(f"The recording stopped: {recorder.failed}", warn=True)
@@ -190,10 +190,10 @@ class Recording:
         return log.read(self.path)
 
     def close(self, summary: Mapping[str, Any]) -> list[str]:
-        """Close the file; return sentences about problems with the recording."""
+        """Close the file; return any problems with the recording, one sentence each."""
         self.catch_up()
         self._limited.close()
-        self._stamp_early(time.time_ns())  # without any packet
+        self._stamp_early(time.time_ns())  # if no packet arrived
         recorder = self._recorder
         if recorder is None:
             return []

@@ -66,7 +66,7 @@ def assemble(
 ) -> list[ArmSession]:
     """Create the arms of a run, with a common clock."""
     wall_ns = time.time_ns() - time.monotonic_ns()
-    active_feeds = list(feeds)  # shared, so that a failing feed is dropped for all arms
+    active_feeds = list(feeds)  # shared, so a failing feed is dropped for all arms
     for name, column in (extra or {}).items():
         if not isinstance(column, Column):
             raise ConfigError(
@@ -145,14 +145,14 @@ class Run(Shown):
     reason : str
         Why the run ended.
     statistics : mapping
-        Counts and latencies, also stored as the summary of the recording; for several arms, "arms" contains those
-        of each arm under its name.
+        Counts and latencies, also stored as the summary of the recording; with several arms, "arms" maps the name
+        of each arm to its statistics.
     events : tuple of (int, str)
-        Wall clock [ns] and text of each event.
+        Wall-clock time [ns] and text of each event.
     path : Path
         File of the recording; None if the rows were kept in memory or the run had several arms.
     arms : tuple of Run
-        With several arms, the Run of each arm, the pacing arm first.
+        Run of each arm, pacing arm first; empty for a single arm.
     """
 
     reason: str
@@ -170,7 +170,7 @@ class Run(Shown):
         return together({arm.statistics["robot"]: arm.table for arm in self.arms})
 
     def report(self) -> str:
-        """Return a short summary: packets, latency, late cycles, drops, clamps per joint, and clients."""
+        """Return a short summary of packets, latency, late cycles, drops, clamps per joint, and clients."""
         arms = [line for arm in self.arms or (self,) for line in arm._lines()]
         return "\n".join([*arms, *served((self.arms or (self,))[0].statistics)])
 
@@ -251,7 +251,7 @@ def served(statistics: Mapping[str, Any]) -> list[str]:
     for arm, clients in statistics.get("commands", {}).items():
         lines.append(f"Commands to {arm}: {_counted(clients)}.")
     if statistics.get("commands_refused"):
-        lines.append(f"Refused commands of clients: {_counted(statistics['commands_refused'])}.")
+        lines.append(f"Refused client commands: {_counted(statistics['commands_refused'])}.")
     if statistics.get("parameters"):
         values = (f"{name} = {value}" for name, value in statistics["parameters"].items())
         lines.append(f"Parameter values: {', '.join(values)}.")

@@ -19,17 +19,17 @@ from armlab.wire.egm import Codec, Drop, Packet
 NOMINAL_PERIOD = 0.004
 """EGM cycle time assumed before the first measurement [s]; a real controller uses 4.032 ms."""
 
-_LONGEST = 1.0  # s between two packets; a longer step means that the clock was set
+_LONGEST = 1.0  # s between packets; a longer step means that the clock was set
 _WINDOW = 9  # samples of the median
 _TRUSTED = 1.5 * NOMINAL_PERIOD  # s, upper bound until the first window is complete, because a gap is not a cycle
-_GAIN = 0.02  # of the slow average
+_GAIN = 0.02  # gain of the slow average
 _NEAR = 0.4  # share of the period: more than one tick of a millisecond clock, less than one skipped cycle
 _WRAP_MS = 2**32
-_SHORTEST = 2e-4  # s between two packets; a burst or a wrong clock causes shorter steps
+_SHORTEST = 2e-4  # s between packets; shorter steps are caused by a burst or a wrong clock
 _AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead arrivals (jitter) or trail them (network stall)
 _STAYS = 10.0  # s; a longer lag of robot time means a longer route or a slow clock, not a burst
 _DRIFT = 1e-4  # relative drift of crystal oscillators
-_WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction of rejected robot time that a delayed first packet never causes
+_WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction: rejected robot time above what a delayed first packet can cause
 
 
 class Period:
@@ -43,7 +43,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add a cycle time (time between packets [s] / difference of their numbers); return whether to restart."""
+        """Add a cycle time [s], the packet interval per sequence number; return whether the estimate restarted."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
@@ -63,10 +63,10 @@ class Period:
 
 
 class RobotClock:
-    """Increments of robot time, from feedBack.time, else from tm of the header, else from the arrival times.
+    """Increments of robot time: from feedBack.time if valid, else from tm in the header, else from arrival times.
 
-    A clock that steps back, stands still or jumps by more than 1 s is ignored for that step. A tm that
-    repeats is too coarse for the cycle time; it is ignored from then on, because its next increment would count twice.
+    A clock that steps back, stops or jumps by more than 1 s is ignored for that step. A repeated
+    tm is too coarse for the cycle time; it is ignored from then on, because its next increment would count twice.
     `believed` bounds the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail
     them by 0.5 s, for example after a network stall.
     """
@@ -78,7 +78,7 @@ class RobotClock:
         self._checks_arrival, self._on_event = checks_arrival, on_event
         self.exact = self._is_coarse = False
         self.believed = 0.0
-        self._lead = self._cut_off = 0.0  # s by which robot time leads arrivals, and rejected robot time [s]
+        self._lead = self._cut_off = 0.0  # s: lead of robot time over arrivals, and rejected robot time
         self._trails = 0.0  # s since robot time began to trail arrivals
         self._trailed = False
         self._reported: set[str] = set()
@@ -96,10 +96,10 @@ class RobotClock:
             if 0.0 < dt <= _LONGEST:
                 self.exact, claimed = True, dt
             else:
-                what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
+                what = "has stopped" if dt == 0.0 else f"was set by {dt:+.3f} s"
                 self._report_once(
                     "set" if dt else "still",
-                    f"The robot's clock {what}. This step is measured by tm of the header or by arrival times.",
+                    f"The robot's clock {what}. This step is taken from tm in the header or from arrival times.",
                 )
         if claimed is None and packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
@@ -113,8 +113,8 @@ class RobotClock:
         if self._cut_off > _WRONG:
             self._report_once(
                 "fast",
-                f"The robot's clock runs faster than ours: it reports {1e3 * claimed:.1f} ms between packets that "
-                f"arrived {1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
+                f"The robot's clock runs faster than the local clock: it reports {1e3 * claimed:.1f} ms between "
+                f"packets that arrived {1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
             )
         forgotten = min(abs(self._lead), _DRIFT * arrived)
         self._lead -= forgotten if self._lead > 0.0 else -forgotten
@@ -122,7 +122,7 @@ class RobotClock:
         self._trails = self._trails + arrived if self._lead < -_WRONG else 0.0
         if self._trails > _STAYS:  # the current arrivals become the new reference
             if self._trailed:
-                self._report_once("slow", "The robot's clock runs slower than ours. Steps follow the slower clock.")
+                self._report_once("slow", "The robot's clock runs slower than the local clock. Steps follow the robot.")
             self._lead, self._trails, self._trailed = 0.0, 0.0, True
         return claimed
 
@@ -139,7 +139,7 @@ _SEQUENCES = 2**32
 _HALF = 2**31  # ms; a tm further ahead is in the past
 _FAR = 2**16  # packets ahead, more than are sent during the silence that ends a session
 _FILTER = 30.0  # Hz, low-pass filter of velocities from differences
-_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken in transit and does not begin a session
+_OVERTAKEN_MS = 100  # a first packet that is older by less than this was overtaken in transit and begins no session
 _SILENT_PERIODS = 5  # periods of silence before another port of the same host may begin a session
 _FOLLOWERS = 3  # consecutive out-of-order packets that begin a new session
 _REMEMBERED = 8  # previous sessions whose repeated first packet is recognised
@@ -165,7 +165,7 @@ class Sample:
     step: float  # s by which a reference may advance
     state: State = field(init=False)
     stamp_ns: int = 0  # of the row
-    deadline_ns: float = 0.0  # of the reply, on our monotonic clock
+    deadline_ns: float = 0.0  # of the reply, on the local monotonic clock
     wake_ns: int = 0  # from arrival to the loop
     command: Command | None = None
     reply: Reply | None = None
@@ -243,7 +243,7 @@ class Session:
         self._replied_ns = now_ns
 
     def end(self) -> str:
-        """End the session; return the reason, which is the first cause that is consistent with the last packet."""
+        """End the session; return the reason: the first cause consistent with the last packet."""
         if self.active and self._last is not None:
             self.reason = self._why(self._last)
             self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
@@ -295,7 +295,7 @@ class Session:
         return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
 
     def _is_quiet(self, arrival: Arrival) -> bool:
-        """Return whether the session has been silent for so long that another source may replace it."""
+        """Return whether the session has been silent long enough for another source to replace it."""
         last = self._last
         return last is not None and arrival.ns - last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
 

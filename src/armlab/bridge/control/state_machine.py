@@ -1,7 +1,7 @@
 """State machine of a run: `Mode`, and `StateMachine`, which selects the reply to each packet.
 
 WAITING -> HOLDING (not ready: the feedback is echoed; ready: the position is frozen) -> RUNNING -> STOPPING -> ENDED.
-LISTENING never sends. *Hold* always means that the sent velocity ramps to zero within the acceleration limits, and that
+LISTENING never sends. *Hold* always means that the reference velocity ramps to zero within the acceleration limits;
 the position then stays constant.
 
 The time step of a reference is the measured robot time since the last reference sent. Implausible feedback is never
@@ -34,9 +34,9 @@ PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 STOP_TIME = 0.5  # s at rest before a run ends
-_UNSENT = 500  # unsent replies that end a stop; after 2 s, the time-out of the robot has acted
+_UNSENT = 500  # unsent replies that end a stop; after 2 s, the robot has timed out
 _REFUSALS = 3  # consecutive refusals that end the run
-_GAP = 3.0  # periods, largest step of a reference after a gap
+_GAP = 3.0  # periods: maximum time step of a reference after a gap
 _ENTRY_PATIENCE = 1.0  # s of refused first positions before a warning
 _BITS = 1, 2, 4, 8, 16, 32  # bits of `Reply.clamped`
 
@@ -57,7 +57,7 @@ _LAST = (Mode.STOPPING, Mode.ENDED)
 
 
 class StateMachine:
-    """Decides for each packet whether the controller is called, and which reply is sent."""
+    """Decides for each packet whether to call the controller and which reply to send."""
 
     ready: bool
     t: float
@@ -111,7 +111,7 @@ class StateMachine:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a guided robot no longer reports its states; the arm then holds without a step to the feedback."""
+        """Whether a guided robot no longer reports its states; the arm then holds without jumping to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property
@@ -222,7 +222,7 @@ class StateMachine:
         return self._last
 
     def take_back(self, waits: bool = False) -> None:
-        """Undo the last reply, which was not sent; the next reply continues from the last reference of the robot."""
+        """Undo the last reply, which was not sent; the next reply continues from the robot's last reference."""
         self._dt, rested, self._last, self._limiter.memory, self._torques.memory, external = self._before
         if external is not None:
             self._external.memory = external
@@ -233,7 +233,7 @@ class StateMachine:
         self._rested, self._unsent = rested, self._unsent + 1
         if self._unsent >= _UNSENT:
             problem = (
-                f"Expected the replies that bring the arm to rest to be sent, got {_UNSENT} unsent replies. The robot "
+                f"Expected to send the replies that bring the arm to rest, got {_UNSENT} unsent replies. The robot "
                 "keeps the last reference until its time-out. Check the network of this computer."
             )
             self.mode, self.failure = Mode.ENDED, self.failure or LinkError(problem)
@@ -244,7 +244,7 @@ class StateMachine:
         if self.mode in _LAST:
             return
         self.reason, self.failure = reason, failure
-        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING  # first: the event may fail
+        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING  # set first, because the event may fail
         self._on_event(f"Stopping: {reason}.")
 
     def lose(self, reason: str, resume: bool) -> None:
@@ -296,7 +296,7 @@ class StateMachine:
         return reply
 
     def _free(self, tau: np.ndarray, packet: Packet) -> Reply:
-        """Reply to a torque-only command, without the position loop while the arm is within its limits."""
+        """Reply to a torque-only command; the position loop is off while the arm is within its limits."""
         problem = self._torques.outside(packet.q, self._qd)
         if problem:
             self._refuse(problem)

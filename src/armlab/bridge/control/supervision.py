@@ -1,4 +1,4 @@
-"""`Supervisor`: end of a run after silence, loss of the robot, or very short sessions; `Settings` of a run."""
+"""`Supervisor`, which ends a run after silence, robot loss or very short sessions; `Settings` of a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Settings:
     resume: bool = True
     clock: Literal["wall", "robot"] = "wall"
     patience: float = 30.0
-    alive: Callable[[], str] = str  # returns the reason for the loss of the robot, "" while it is running
+    alive: Callable[[], str] = str  # returns why the robot was lost, "" while it is running
     progress: Callable[[float], None] | None = None
 
 
@@ -41,7 +41,7 @@ class Supervisor:
         self._elapsed, self._brief = 0.0, 0
 
     def check_silence(self, last_packet_ns: int) -> None:
-        """End the session after a silence, and the run if no further packet can arrive."""
+        """End the session after a silence, and the run if the robot is lost or its silence exceeds the patience."""
         machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
             machine.lose(session.end(), self._settings.resume)
@@ -82,7 +82,7 @@ class Supervisor:
             failure = SessionEnded(
                 f"Expected a session with {kind} for {_BRIEF:g} s or more, got {self._brief} consecutive shorter "
                 f"sessions; the last session ended because {session.reason}. Read the event log of the robot "
-                "controller; a usual cause is a refused reference that is too far away or too fast."
+                "controller; a usual cause is a reference that is refused as too far away or too fast."
             )
             machine.stop("sessions ended immediately", failure)
 
@@ -109,7 +109,7 @@ class Supervisor:
 
 def check_list(port: Port) -> str:
     """Return advice for a port at which no packet arrives."""
-    loopback = " That address receives only from programs on this computer." if port.host.startswith("127.") else ""
+    loopback = " This address receives packets only from this computer." if port.host.startswith("127.") else ""
     return (
         f"Listening on {port.host}:{port.port}.{loopback} Check that the UDPUC device of the controller has this "
         f"computer's address and port {port.port}, that RAPID runs EGMStreamStart or EGMRunJoint, and that no "

@@ -1,7 +1,7 @@
 """Torque references: checks, limits, and an admittance for links without torque commands.
 
-A torque with a position or velocity is feed-forward. A torque alone replaces the position loop; the drive then adds
-only gravity compensation. The reply also contains the measured position, from which a hold starts.
+A torque commanded with a position or velocity is feed-forward. A torque alone replaces the position loop; the drive
+then adds only gravity compensation. The reply also contains the measured position, from which a hold starts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TorqueFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 FreeTorque = TorqueFunction | TorqueModel | Fit[TorqueModel]
 
 _CLIPPED, _SLOWED = 16, 32
-_SLACK = 1e-9  # N m, so that rounding does not count as a clamp
+_SLACK = 1e-9  # N m: tolerance, so rounding does not count as a clamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Torques:
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
         """Return the references (n,) of a command with a torque; an admittance converts the torque to a velocity.
 
-        `measured` states whether the robot reports torques; drives without torque reports accept no torque commands.
+        `measured` states whether the robot reports torques; a robot that reports none accepts no torque commands.
         """
         if not np.isfinite(tau).all():
             raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN is never sent to a robot.")
@@ -94,11 +94,11 @@ class Torques:
 
     def _check(self) -> None:
         if "torque" not in self._capabilities:
-            able = ", ".join(sorted(self._capabilities)) or "no references"
+            able = ", ".join(sorted(self._capabilities)) or "none"
             raise CommandRefused(
-                f"Expected no torque in the Command, but tau is set and this link only carries {able}. Command q or "
-                'qd, connect with a codec for torques (extension=True), or run with torque="admittance" and a damping '
-                "per joint."
+                f"Expected no torque in the Command, but tau is set (references supported by this link: {able}). "
+                "Command q or qd, connect with a codec for torques (extension=True), or run with "
+                'torque="admittance" and a damping per joint.'
             )
         if self._limits.tau_max is None:
             raise CommandRefused(
@@ -107,7 +107,7 @@ class Torques:
             )
 
     def outside(self, q: np.ndarray, qd: np.ndarray) -> str:
-        """Return the error text for a torque-only command to an arm outside its limits, or "" if the arm is inside."""
+        """Return an error message if an arm is outside the limits for a torque-only command, otherwise ""."""
         limits = self._limits
         if self._linkage is not None:  # the limits apply to axes
             q, qd = self._linkage.axes(q), self._linkage.axes(qd)
@@ -143,7 +143,7 @@ class Torques:
 def admittances(
     torque: str, damping: np.ndarray | None, model: FreeTorque | Sequence[FreeTorque] | None, robots: Sequence[Robot]
 ) -> list[Admittance | None]:
-    """Return the admittance of each arm, or None for each arm if torques are sent or refused."""
+    """Return the admittance of each arm; all are None if torques are not converted."""
     if torque not in ("refuse", "admittance"):
         raise ConfigError(f'Expected torque to be "refuse" or "admittance", got {torque!r}.')
     if torque == "refuse":
@@ -162,7 +162,7 @@ def admittances(
 
 
 def _function(model: FreeTorque | None, robot: Robot) -> TorqueFunction | None:
-    """Return the torque function of an identified model or its fit; a function is returned unchanged."""
+    """Return the torque function of an identified model or its fit; return a function unchanged."""
     known = value_of(model)
     if not isinstance(known, TorqueModel):
         return known

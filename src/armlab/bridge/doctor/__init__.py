@@ -1,3 +1,3 @@
-"""Checks before a run: computer, network, and packets of robots."""
+"""Pre-run checks of the computer, the network and the robot packets."""
 
 __all__ = []

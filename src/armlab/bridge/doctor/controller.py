@@ -1,4 +1,4 @@
-"""Checks of an ABB controller via Robot Web Services, with one `Finding` for each condition that EGM requires."""
+"""Checks of an ABB controller via Robot Web Services, with one `Finding` per EGM requirement."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _STATES = {
 _REMEDIES = {
     "motoroff": "armlab abb start switches them on.",
     "init": "Wait until the controller has started.",
-    "guardstop": "Close the safety gate or release the protective stop, and acknowledge it.",
+    "guardstop": "Close the safety gate or release the protective stop, then acknowledge it.",
     "emergencystop": "Release the emergency stop, then press the motors-on button to reset it.",
     "emergencystopreset": "Press the motors-on button to reset the emergency stop.",
     "sysfail": "Read the event log on the pendant and restart the controller.",
@@ -44,25 +44,27 @@ _REMEDIES = {
 
 
 def known_tasks(status: ControllerStatus, wanted: Sequence[str] = ()) -> list[Task]:
-    """Return the motion tasks for which armlab has a guidance module; `wanted` selects some of them by name."""
+    """Return the motion tasks with an armlab guidance module, or only those named in `wanted`."""
     found = {task.name: task for task in status.tasks if task.name in PROGRAMS}
     for name in wanted:
         if name not in found:
             raise UnknownName.among("motion task of this controller", name, found)
     if not found:
         names = ", ".join(task.name for task in status.tasks) or "none"
-        raise LinkError(f"Expected a motion task {', '.join(PROGRAMS)} on the controller, got {names}. Load by hand.")
+        raise LinkError(
+            f"Expected a motion task {', '.join(PROGRAMS)} on the controller, got {names}. Load the module by hand."
+        )
     return [found[name] for name in wanted or found]
 
 
 def senders(status: ControllerStatus) -> dict[int, Task]:
-    """Return the task that sends to each port, according to the UDP devices."""
+    """Map each destination port in the UDP devices to its sending task."""
     devices = {PROGRAMS[one.name][1]: one for one in known_tasks(status)}
     return {status.devices[name][1]: one for name, one in devices.items() if name in status.devices}
 
 
 def tasks_for(status: ControllerStatus, ports: Sequence[int]) -> list[Task]:
-    """Return the task that sends to each port of this computer."""
+    """Return the sending task of each local port."""
     found = senders(status)
     if bad := [finding for finding in port_findings(status, ports) if finding.verdict != "ok"]:
         raise LinkError(
@@ -72,10 +74,10 @@ def tasks_for(status: ControllerStatus, ports: Sequence[int]) -> list[Task]:
 
 
 def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Finding]:
-    """Return one finding per port: whether a task sends to the port."""
+    """Return one finding per port, which states whether a task sends to it."""
     found = senders(status)
     known = ", ".join(f"{task.name} to {port}" for port, task in found.items()) or "none"
-    advice = "Open the port of the task, or change Remote Port Number of its device."
+    advice = "Listen on the port of the task, or change the Remote Port Number of its device."
     return [
         Finding.judged(
             f"port {port}, sender", "failure", port not in found, found[port].name if port in found else known, advice
@@ -87,7 +89,7 @@ def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Findin
 def controller_findings(
     status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str] | None = None, replace: bool = False
 ) -> list[Finding]:
-    """Return the findings of a controller; `modules` maps tasks to texts to load, and `replace` allows overwriting."""
+    """Return the findings for a controller; `modules` maps tasks to RAPID code, and `replace` allows overwriting."""
     found = _status_findings(status)
     for task in tasks:
         found += [_module(status, task, (modules or {}).get(task.name, ""), replace), _device(status, task)]
@@ -187,7 +189,7 @@ def _device(status: ControllerStatus, task: Task) -> Finding:
 
 
 class RapidRun:
-    """Manager of RAPID during the runs of a link: starts RAPID if it is stopped, and stops it only in that case."""
+    """Starts RAPID for the runs of a link, unless it is already running, and stops only what it has started."""
 
     def __init__(self, rws: str, ca: str = "", insecure: str = "false") -> None:
         if insecure.lower() not in ("", "true", "false"):
@@ -200,10 +202,10 @@ class RapidRun:
     def running(
         self, ports: Sequence[int], tell: Tell, cancelled: Callable[[], bool] = lambda: False
     ) -> Iterator[None]:
-        """Run the guidance modules that send to these ports; leave modules that are already running unaffected.
+        """Run the guidance modules that send to these ports; leave running modules alone.
 
-        Started modules are stopped at the end, even after an error or interrupt during the start. If `cancelled`
-        returns True, no further steps are performed.
+        Started modules are stopped at the end, even if an error or interrupt occurs during the start. Once
+        `cancelled` returns True, the remaining steps are skipped.
         """
         started = False
         try:
@@ -229,7 +231,7 @@ class RapidRun:
     def _stop(self, tell: Tell) -> None:
         try:
             self._stop_once(tell)
-        except KeyboardInterrupt:  # RAPID must not remain running after Ctrl-C
+        except KeyboardInterrupt:  # RAPID must not keep running after Ctrl-C
             self._stop_once(tell)
             raise
 

@@ -1,4 +1,4 @@
-"""Checks of this computer before a run, with one function per finding of `armlab doctor`."""
+"""Pre-run checks of this computer, one function per finding of `armlab doctor`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import numpy as np
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
 
 Verdict = Literal["ok", "warning", "failure"]
-"""Verdict of a check; "warning" means usable with a risk."""
+"""Verdict of a check; "warning" means usable, but with a risk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +35,15 @@ class Finding:
 
     @classmethod
     def judged(cls, name: str, problem: Verdict, is_bad: bool, value: str, advice: str) -> Finding:
-        """Return a finding with the verdict `problem` and the advice if `is_bad`, else with the verdict "ok"."""
+        """Return a finding with the verdict `problem` and the advice if `is_bad`, otherwise "ok"."""
         return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
 
 
 _OLDEST = (3, 11)
 _CYCLE = 0.004  # s
-_LATE = 1e-3  # s: a longer wake-up delay misses a reply at 1 kHz and takes a quarter of an EGM cycle
+_LATE = 1e-3  # s: largest acceptable wake-up delay, one cycle at 1 kHz and a quarter of an EGM cycle
 _FINE = 1e-6  # s
-_LONG = 0.1  # s for a full collection: only data loaded by the user takes longer
+_LONG = 0.1  # s: a full collection takes longer only if the user has loaded large data
 _CONFLICTS = (("viser", "rich", 15), ("viser", "websockets", 17))  # package, dependency, first incompatible version
 _SYSTEM = Path("/sys/devices/system/cpu")
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
@@ -68,7 +68,7 @@ def machine(seconds: float = 2.0) -> list[Finding]:
 
 
 def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
-    """Check the Python version, and report the armlab version."""
+    """Check the Python version and report the armlab version."""
     from armlab import __version__
 
     value = f"{'.'.join(map(str, version))} ({sys.executable}), armlab {__version__}"
@@ -113,7 +113,7 @@ def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
 
 
 def ros_nodes(environment: Mapping[str, str]) -> Finding:
-    """Check the settings for discovery between local ROS 2 nodes and the bridge."""
+    """Check that local ROS 2 nodes and the bridge can discover each other."""
     settings = [f"{name}={environment[name][:80]}" for name in _ROS_SETTINGS if environment.get(name)]
     domain = environment.get("ROS_DOMAIN_ID") or "0"
     value = f"domain {domain}, nodes: {', '.join(settings) or 'no settings'}; bridge: 127.0.0.1, no multicast"
@@ -143,7 +143,7 @@ def real_time() -> Finding:
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Report the share of time available to real-time threads; wait="spin" never yields and needs 100 %."""
+    """Report the CPU share of real-time threads; wait="spin" never yields, so it would need 100 %."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())
@@ -155,7 +155,7 @@ def throttle(file: Path = _THROTTLE) -> Finding:
 
 
 def governor(folder: Path = _SYSTEM) -> Finding:
-    """Check whether the processors keep their clock rate between two packets."""
+    """Check whether the CPUs keep their clock rate between packets."""
     kinds: set[str] = set()
     for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor"):
         with suppress(OSError), file.open(encoding="ascii") as opened:
@@ -187,7 +187,7 @@ def wake_up(
 
 
 def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
-    """Measure the duration of a full garbage collection; a run collects only objects created during the run."""
+    """Measure a full garbage collection; a run collects only objects created during the run."""
     objects = len(gc.get_objects())
     start = time.perf_counter()
     collect()
@@ -198,7 +198,7 @@ def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
 
 
 def blas() -> Finding:
-    """Report the number of BLAS threads; the results of a controller are bit-identical only with one thread."""
+    """Report the number of BLAS threads; controller results are reproducible bit by bit only with one thread."""
     from threadpoolctl import threadpool_info
 
     pools = [f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info()]

@@ -1,4 +1,4 @@
-"""`examine`: check whether the computer, network and robot are ready for a run, without sending to the robot."""
+"""Pre-run check of the computer, the network and the robot, which sends nothing to the robot."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec
 
-_SPREAD = 2e-3  # s between the median and the 99th percentile of the time between packets
+_SPREAD = 2e-3  # s: largest acceptable difference between the median and the 99th percentile of packet intervals
 _REMEDY = {
-    "the motors are off": "Switch the motors on; in manual mode hold the enabling device.",
+    "the motors are off": "Switch the motors on; in manual mode, hold the enabling device.",
     "RAPID is stopped": "Start RAPID from main on the pendant.",
     "guidance has not begun (EGMRunJoint)": (
         "This is normal for streaming and lead-through. For motion, RAPID must reach EGMRunJoint (ArmlabJoint.mod)."
@@ -36,7 +36,7 @@ _OLD = {
     "6.07": "RobotWare 6.07.00 reports wrong joint values (fixed in 6.07.01). Compare q with the pendant.",
 }
 _AXES = 6
-_ANY_ARM: Any = SimpleNamespace(  # accepts packets of any robot; the seventh axis of a YuMi counts as external
+_ANY_ARM: Any = SimpleNamespace(  # accepts packets from any robot; the seventh axis of a YuMi counts as external
     n=_AXES, prismatic=np.zeros(_AXES, dtype=bool), abb_axes=(1, 2, 3, 4, 5, 6), coupling=np.eye(_AXES)
 )
 
@@ -111,9 +111,9 @@ class EgmListener:
     def _foreign(self, name: str) -> Finding:
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.session.drops.items())
         if "joint count" in self.session.drops and self._robot is not None:
-            advice = f"This is not a {self._robot.name}, which has {self._robot.n} axes. Name the connected robot."
+            advice = f"This is not a {self._robot.name}, which has {self._robot.n} axes. Specify the connected robot."
             return Finding(f"{name}, first packet", "failure", f"wrong axes: {reasons}", advice)
-        advice = "A program other than an EGM controller sends to this port. End that program or choose another port."
+        advice = "A program other than an EGM controller sends to this port. Stop that program or choose another port."
         return Finding(f"{name}, first packet", "failure", f"not a robot packet: {reasons}", advice)
 
     def _timing(self, name: str) -> Finding:
@@ -172,7 +172,7 @@ _SELF_TEST = 0.2  # s, shortest duration of the self-test
 
 
 def addresses(found: Mapping[str, str]) -> Finding:
-    """Check whether other computers can reach this computer."""
+    """Check whether this computer has an address that other computers can reach."""
     value = ", ".join(f"{interface} {address}" for interface, address in found.items()) or "none"
     outside = [address for address in found.values() if not address.startswith("127.")]
     advice = "Only a simulated robot can reach this computer. Connect the controller's cable and set an address."
@@ -180,7 +180,7 @@ def addresses(found: Mapping[str, str]) -> Finding:
 
 
 def route_to(host: str) -> str:
-    """Return the source address of packets to a host, or "" without a route, without sending any packet."""
+    """Return the source address of packets to a host, or "" if no route exists; send nothing."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((host, 9))  # UDP: only selects the route
@@ -201,7 +201,7 @@ def firewall(file: Path = _FIREWALL) -> Finding:
 
 
 class _PortListener:
-    """Bound port with its received datagrams, and the token for the self-test."""
+    """Bound port with its received datagrams and its self-test token."""
 
     def __init__(self, port: Port, robot: Robot | None) -> None:
         self.port, self.listener = port, EgmListener(port.port, robot)
@@ -220,9 +220,9 @@ class _PortListener:
                 self.listener.add(arrival)
 
     def self_test(self) -> Finding:
-        """Check whether packets from this computer to its own addresses arrive."""
+        """Check whether this computer receives packets sent to its own addresses."""
         lost = [address for address in self.addresses if address not in self.received]
-        value = f"packets from {len(self.received)} of {len(self.addresses)} own addresses arrive"
+        value = f"received packets from {len(self.received)} of {len(self.addresses)} own addresses"
         advice = (
             f"A firewall rule on this computer drops packets to {', '.join(lost)}. See nft list ruleset or ufw status."
         )
@@ -230,7 +230,7 @@ class _PortListener:
 
 
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], requested: bool) -> list[Finding]:
-    """Bind the ports, listen, and return the findings; send only a token, to the addresses of this computer."""
+    """Bind the ports, listen, and return the findings; send only self-test tokens to this computer."""
     found: list[Finding] = []
     listeners: list[_PortListener] = []
     for number, robot in zip(numbers, robots, strict=True):
@@ -280,7 +280,7 @@ DEFAULT_PORTS = (6510, 6511, 6512)
 """UDP ports of a single arm, a left arm and a right arm."""
 
 LONGEST = 3600.0
-"""Longest listening time [s]."""
+"""Maximum listening time [s]."""
 
 
 def examine(
@@ -291,8 +291,8 @@ def examine(
 ) -> list[Finding]:
     """Return the findings of all checks: first the computer, then the network and the ports.
 
-    The check listens for `seconds` [s] on `ports` (default: `DEFAULT_PORTS`), and measures wake-ups for `wake_up` [s].
-    With `robots`, one per port, it also checks axes and posture.
+    The check listens on `ports` (default: `DEFAULT_PORTS`) for `seconds` [s] and measures wake-ups for `wake_up` [s].
+    With `robots`, one per port, it also checks the number of axes and the posture.
     """
     numbers = list(DEFAULT_PORTS if ports is None else ports)
     if not numbers or any(not 0 <= number < 65536 for number in numbers) or len(set(numbers)) < len(numbers):

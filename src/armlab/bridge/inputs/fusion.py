@@ -1,6 +1,6 @@
-"""`Fusion`: newest reading of each source at each tick, with its age, freshness, and timestamp on our clock.
+"""`Fusion`: newest reading of each source at each tick, with its age, freshness, and timestamp on the local clock.
 
-Fusion keeps the last values; it neither waits nor interpolates. Stale values are NaN in a State, but stay in the log.
+Fusion keeps the last values; it neither waits nor interpolates. Stale values are NaN in a State but are still logged.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from armlab.robots import Robot
 
 _WINDOW = 10_000_000_000  # ns, window of the running minimum
 _BUCKET = 500_000_000  # ns per point of the minimum
-_STEP = 50_000_000  # ns, a larger deviation means that the clock was set
-_LATE_IN_A_ROW = 10  # consecutive late readings that mean a clock set back, not a delay
+_STEP = 50_000_000  # ns; a larger deviation means that the clock was set
+_LATE_IN_A_ROW = 10  # consecutive late readings that indicate a clock set back rather than a delay
 _DRIFT_SPAN = 3_000_000_000  # ns of data needed to separate drift from delays
 _FASTEST_DRIFT = 1e-3  # s/s
 
 
 class ClockMap:
-    """Maps timestamps of another clock to ours by the running minimum of (receive - source) over 10 s, including drift.
+    """Maps timestamps to the local clock by the running minimum of (receive - source) over 10 s, including drift.
 
     Packets can be late but never early, so the minimum is the clock offset plus the shortest delay. A step above 50 ms
     restarts the estimate.
@@ -77,7 +77,7 @@ class ClockMap:
         return offset + self._drift * (source_ns - start)
 
     def _fit(self) -> None:
-        """Fit a line with the least-squares slope through the lowest point, so that no point lies below the line."""
+        """Fit a line with the least-squares slope through the lowest point, such that no point lies below it."""
         start, first = self._points[0]
         steps = [(source - start, offset - first) for source, offset in self._points]
         self._drift = 0.0
@@ -88,7 +88,7 @@ class ClockMap:
         self._line = (start, first + min(step - self._drift * at for at, step in steps))
 
 
-_AHEAD = 1.0  # s by which a reading may be newer than the packet of the tick, which may have been queued in the port
+_AHEAD = 1.0  # s: maximum lead of a reading over the packet of its tick, which may have waited in the socket
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -114,9 +114,9 @@ class Held(Shown):
     source_ns : int, ns
         Timestamp on the source's clock; 0 if the source sends no timestamps.
     receive_ns : int, ns
-        Arrival time on our monotonic clock; 0 before the first reading.
+        Arrival time on the local monotonic clock; 0 before the first reading.
     mapped_ns : int, ns
-        The source's timestamp converted to our clock; 0 if the source sends no timestamps.
+        The source's timestamp converted to the local clock; 0 if the source sends no timestamps.
     """
 
     values: Mapping[str, np.ndarray]
@@ -135,7 +135,7 @@ class Held(Shown):
 
 
 class Fusion:
-    """Sampler of several sources at common ticks."""
+    """Samples several sources at common ticks."""
 
     sources: tuple[Source, ...]
 
@@ -164,7 +164,7 @@ class Fusion:
         return MappingProxyType(held)
 
     def ticks(self, seconds: float) -> Iterator[Mapping[str, Held]]:
-        """Yield the held readings at each new reading of the pacing source, to record rows without a robot."""
+        """Yield the held readings at each new reading of the pacing source, for recording rows without a robot."""
         pacing = next((source for source in self.sources if source.role == "pacing"), None)
         if pacing is None:
             raise ConfigError("Expected one source with the role pacing, got none. Add a bridge.TimerSource.")

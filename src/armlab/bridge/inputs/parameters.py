@@ -52,7 +52,7 @@ class Parameter(Shown):
     Raises
     ------
     ConfigError
-        Invalid declaration; the message contains the name of the parameter.
+        Invalid declaration; the message names the parameter.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Parameter(Shown):
         return int(match[1]) if match else 0
 
     def _checked(self, value: Any) -> Any:
-        """Return a value as it is stored: a float, int, bool, str or read-only array (k,)."""
+        """Return the value to store: a float, int, bool, str or read-only array (k,)."""
         if self.type == "bool":
             if not isinstance(value, (bool, np.bool_)):
                 raise self._refused("true or false", value)
@@ -132,11 +132,13 @@ class Parameter(Shown):
             got = repr(value)[:80]
         except ValueError:  # an integer with too many digits
             got = f"a {type(value).__name__} too long to show"
-        return CommandRefused(f"Expected {expected} for the parameter {self.name}{unit}, got {got}. The value is kept.")
+        return CommandRefused(
+            f"Expected {expected} for the parameter {self.name}{unit}, got {got}. The value is unchanged."
+        )
 
 
 class Change(NamedTuple):
-    """Change of a parameter that has taken effect."""
+    """Parameter change that has taken effect."""
 
     sequence: int
     name: str
@@ -257,8 +259,8 @@ class Parameters:
         UnknownName
             A parameter is not declared.
         CommandRefused
-            Wrong type or shape, non-finite value, value out of bounds, missing rights, parameter that is not live
-            during a run, or too many settings in one tick.
+            Wrong type or shape, non-finite value, value out of bounds, missing rights, too many settings in one tick,
+            or, during a run, a parameter that is not live.
         """
         checked = {}
         for name, value in values.items():
@@ -266,7 +268,9 @@ class Parameters:
             if parameter is None:
                 raise UnknownName.among("parameter", name, self.declared)
             if parameter.rights == "commander" and not commander:
-                raise CommandRefused(f"Expected the commander of an arm to set {name}, got {who}. The value is kept.")
+                raise CommandRefused(
+                    f"Expected the commander of an arm to set {name}, got {who}. The value is unchanged."
+                )
             if self.running and not parameter.live:
                 raise CommandRefused(f"Expected {name} to be set before a run, but {who} tried to set it during a run.")
             checked[name] = parameter._checked(value)
@@ -277,7 +281,7 @@ class Parameters:
         self._waiting.append((checked, who))
 
     def apply(self) -> tuple[Change, ...]:
-        """Apply the new values in order of arrival and return the changes; called between two ticks."""
+        """Apply the new values in order of arrival and return the changes; called between ticks."""
         changes = []
         for _ in range(len(self._waiting)):
             values, who = self._waiting.popleft()

@@ -47,7 +47,7 @@ class Reading(NamedTuple):
     source_ns : int, ns
         Timestamp on the source's clock; 0 if the source sends no timestamps.
     receive_ns : int, ns
-        Arrival time on our monotonic clock.
+        Arrival time on the local monotonic clock.
     seq : int
         Sequence number of the reading.
     gaps : int
@@ -77,8 +77,8 @@ class Source:
     name : str
         Name of the source; its columns in the log are ``<name>.<field>``.
     fields : mapping
-        Shape, unit and frame by field; names in the glossary keep their meaning. A calibrated ``wrench`` (6,) in base
-        axes becomes `State.wrench`; the `calibration` converts a ``wrench_raw`` (6,) in sensor axes to it.
+        Shape, unit and frame by field; names in the glossary keep their meaning. `State.wrench` is
+        the calibrated ``wrench`` (6,) in base axes, or ``wrench_raw`` (6,) in sensor axes converted by `calibration`.
     period : float, s
         Nominal time between two readings.
     max_age : float, s
@@ -86,16 +86,16 @@ class Source:
     role : str
         "required" (the arms hold while the source is stale), "pacing" (`Fusion.ticks` follows it) or "optional".
     robot : str
-        Name of the arm that the wrench belongs to, "" for any; default: the arm of the calibration.
+        Name of the arm to which the wrench belongs, "" for any; default: the arm of the calibration.
     calibration : ForceSensor
         Weight, bias and axes of the force sensor that sends ``wrench_raw``.
 
     Attributes
     ----------
     now_ns : int, ns
-        Time of the current tick on our monotonic clock.
+        Time of the current tick on the local monotonic clock.
     problem : str
-        Text of the last error.
+        Message of the last error.
 
     Raises
     ------
@@ -256,7 +256,7 @@ class ThreadSource(Source):
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the thread, and wait at most 1 s for it to end."""
+        """Stop the thread and wait at most 1 s for it to end."""
         self._over.set()
         if self._thread is not None:
             self._thread.join(1.0)
@@ -276,8 +276,8 @@ class CallableSource(ThreadSource):
     fields : mapping
         Columns by field.
     function : callable
-        Returns values by field, or None without new values. If the function raises an error, the source keeps the last
-        reading and sets `problem`.
+        Returns values by field, or None if there are no new values. If the function raises an error, the source keeps
+        the last reading and sets `problem`.
     period : float, s
         Time between two calls.
     options
@@ -305,7 +305,7 @@ class CallableSource(ThreadSource):
                 if given is not None:
                     values = self.values(given)
                     self._newest, seq = Reading(values, 0, time.monotonic_ns(), seq), seq + 1
-            except Exception as error:  # in the function of the user: the reading becomes stale, but the loop continues
+            except Exception as error:  # in the user's function: the reading becomes stale, but the loop continues
                 self.problem: str = f"{type(error).__name__}: {error}"
 
 
@@ -393,15 +393,15 @@ class ReplaySource(Source):
 
 
 _STAMPS = ("seq", "stamp_ns")
-_DRAINED = 64  # datagrams per tick, so that a flood does not block the loop
-_BACKLOG = 2000  # datagrams in the first tick, which may have arrived before the first packet of the robot
+_DRAINED = 64  # maximum number of datagrams per tick, so a flood does not block the loop
+_BACKLOG = 2000  # maximum number in the first tick; they may have arrived before the first robot packet
 _MOST_GAPS = 1 << 53  # largest exact integer in the log
 
 
 class UdpSource(Source):
     """Source that receives datagrams on a UDP port of this computer, as binary numbers or JSON.
 
-    Each tick reads all waiting datagrams and uses the newest valid datagram; the operating system timestamps arrivals.
+    Each tick reads all waiting datagrams and uses the newest valid one. The operating system timestamps arrivals.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ class UdpSource(Source):
     Attributes
     ----------
     drops : int
-        Number of invalid datagrams among those decoded; older datagrams of the same tick are skipped undecoded.
+        Number of decoded datagrams that were invalid; older datagrams of the same tick are skipped without decoding.
 
     Raises
     ------
@@ -496,7 +496,7 @@ class UdpSource(Source):
             self.drops += 1
             self.problem: str = self.problem or f"invalid datagram, {type(error).__name__}: {error}"
             return False
-        lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbering is not a loss
+        lost = 0 if last is None else max(seq - last.seq - count, 0)  # restarted numbering is not a loss
         gaps = 0 if last is None else min(last.gaps + lost, _MOST_GAPS)
         self._newest = Reading(values, stamp_ns, receive_ns, seq, gaps)
         return True

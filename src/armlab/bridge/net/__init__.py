@@ -1,3 +1,3 @@
-"""Sockets, and rate-limited events."""
+"""Sockets and rate-limited events."""
 
 __all__ = []

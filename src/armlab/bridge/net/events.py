@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-_EVERY = 1_000_000_000  # ns between two reported events of one kind
+_EVERY = 1_000_000_000  # ns between reported events of one kind
 _EACH = 50  # events of one kind per `_EVERY` with each=True: commanding clients may change ten times a second
 _KINDS = 64  # kinds with their own limit; further kinds share one limit
 _CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # parts that may differ between events of one kind
@@ -40,9 +40,9 @@ class Limited:
     """Rate limiter for events: the first event of a kind is reported immediately, later events at most once a second.
 
     Events that differ only in numbers and quoted words are of the same kind. The newest event within a second is
-    delayed to the end of that second; its text states how many events it replaced. A condition that changes with every
-    packet therefore cannot fill the disk, and its last state is always reported. Events with ``each=True`` are limited
-    to fifty per second and kind.
+    delayed to the end of that second; its text states how many events it replaced. Thus a condition that changes with
+    every packet cannot fill the disk, but its last state is always reported. Events with ``each=True`` are limited to
+    fifty per second and kind.
     """
 
     waiting: int
@@ -57,7 +57,7 @@ class Limited:
         with self._lock:
             self.due(stamp_ns)
             name = _CHANGING.sub("#", text)
-            if name not in self._kinds and len(self._kinds) >= _KINDS:  # forget the kinds without a recent event
+            if name not in self._kinds and len(self._kinds) >= _KINDS:  # forget kinds without a recent event
                 kinds = self._kinds.items()
                 self._kinds = {key: kind for key, kind in kinds if kind.pending or not _is_over(kind, stamp_ns)}
                 name = name if len(self._kinds) < _KINDS else ""

@@ -54,7 +54,7 @@ _FLUSHED = 2000  # datagrams, more than a receive buffer holds
 
 
 class Arrival(NamedTuple):
-    """One datagram: its bytes, (host, port) of the sender, and its arrival time on our monotonic clock [ns]."""
+    """One datagram: its bytes, (host, port) of the sender, and its arrival time on the local monotonic clock [ns]."""
 
     data: bytes
     source: tuple[str, int]
@@ -113,7 +113,7 @@ class Port:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one datagram; return whether the system accepted it."""
+        """Send one datagram; return whether the operating system accepted it."""
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
@@ -122,7 +122,7 @@ class Port:
         if self._is_closed or self._descriptor.is_open:
             return False
         self._errors, self._seen = self._errors + self._seen, 0
-        self._socket.detach()  # its descriptor may belong to another file by now
+        self._socket.detach()  # its descriptor may already belong to another file
         number = apart(socket.socket(socket.AF_INET, socket.SOCK_DGRAM).detach())
         self._bind(socket.socket(fileno=number), self.host, self.port)
         self.on_lost()
@@ -140,8 +140,8 @@ def _why_not(host: str, port: int, error: Exception) -> str:
     if code == errno.EACCES:
         return f"Expected permission to listen on {host}:{port}, got {error}. Choose a port above 1023."
     return (
-        f"Expected a local address to listen on, got {host}:{port} ({error}). Use an address of this computer; for a "
-        "robot simulated on it, 127.0.0.1."
+        f"Expected a local address to listen on, got {host}:{port} ({error}). Use an address of this computer, or "
+        "127.0.0.1 for a robot simulated on this computer."
     )
 
 
@@ -149,7 +149,7 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
     """Return a non-blocking listening socket whose connections send small messages without delay."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else a message waits up to 40 ms for an ACK
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else a message may wait up to 40 ms for an ACK
     try:
         listener.bind((host, port))
         listener.listen(backlog)
@@ -166,9 +166,9 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
     return listener
 
 
-_BUFFER = 4 * 2**20  # bytes queued for a server
-_SNDBUFFORCE = 32  # Linux: may exceed the limit of the system
-_LARGEST = 2**17  # bytes of a message from a server
+_BUFFER = 4 * 2**20  # bytes: maximum queued for a server
+_SNDBUFFORCE = 32  # Linux: may exceed the system limit
+_LARGEST = 2**17  # bytes: maximum size of a message from a server
 
 
 def pair() -> tuple[socket.socket, socket.socket]:
@@ -220,7 +220,7 @@ class Outlet:
         """Send one message without blocking; return False if it is dropped (the process ended or does not read)."""
         try:
             return self._socket is not None and self._socket.send(data) > 0
-        except OSError:  # full, or the process has ended: its supervisor restarts it
+        except OSError:  # full, or the process has ended and its supervisor restarts it
             return False
 
     def receive(self) -> bytes | None:
@@ -232,13 +232,13 @@ class Outlet:
 
 
 def is_here(place: str) -> bool:
-    """Return whether "HOST:PORT" is on this computer; host names other than localhost are not looked up."""
+    """Return whether "HOST:PORT" is on this computer; host names other than localhost are not resolved."""
     host = place.rpartition(":")[0].strip("[]")
     return host == "localhost" or is_loopback(host)
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host is a loopback address; host names return False."""
+    """Return whether a host is a loopback address; False for host names."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

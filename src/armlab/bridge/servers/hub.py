@@ -1,7 +1,7 @@
 """`Hub`: the feed that connects the loop to the server processes.
 
-Rows and events go out; commands and parameter settings return through the same sockets. A server that does not read
-loses rows, which are counted, and never blocks the loop.
+The hub sends rows and events, and receives commands and parameter settings through the same sockets. A server that
+does not read never blocks the loop; its lost rows are counted.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
 OPERATOR = "local"
-"""Name of the server for operators; only the user may open its socket."""
+"""Name of the server for operators; only the user of the bridge may open its socket."""
 
-_PATIENCE = 0.5  # s for a server to report the counts of its clients, after the arms have come to rest
+_PATIENCE = 0.5  # s: time limit for a server to report client counts, after the arms have come to rest
 _DRAINED = 16  # maximum number of requests handled per server and poll
 _EVENTS = 1000  # maximum number of events waiting for a run to begin
 _SENTENCE = 1000  # maximum length of a report in characters, because it may quote a client's message
@@ -134,7 +134,7 @@ class Hub:
         self._events.append((text, warn, each))
 
     def answer(self, client: str, text: str, refused: Iterable[str] = ()) -> None:
-        """Send a text to a client."""
+        """Send a text message to a client."""
         server, _, rest = client.partition(" ")
         if server in self.outlets:
             self.outlets[server].send(text_message("answer", client=rest, text=text, refused=list(refused)))
@@ -166,9 +166,9 @@ class Hub:
             self.poll()
 
     def poll(self) -> None:
-        """Handle at most 16 requests of each server, then apply parameters; never block."""
+        """Handle at most 16 requests from each server, then apply parameters; never block."""
         if not self._lock.acquire(blocking=False):
-            return  # the other thread is polling
+            return  # another thread is polling
         try:
             self._polled_ns = time.monotonic_ns()
             for outlet in self.outlets.values():
@@ -217,7 +217,9 @@ class Hub:
                 self.arbiter.cancel(client, request.arm, request.goal)
             case _ if outlet.name in self._read_only:
                 refused = request.values if isinstance(request, messages.SetRequest) else ()
-                text = f"{outlet.name} accepts clients from other computers without a secret. You may only read."
+                text = (
+                    f"{outlet.name} accepts clients from other computers without a secret. You have read-only access."
+                )
                 self.answer(client, text, refused)
                 if isinstance(request, messages.TrajectoryRequest):
                     self.report_goal(Order(client, request.arm, goal=request.goal), ("aborted", "refused", text))
@@ -242,7 +244,7 @@ class Hub:
                 self.answer(client, "Only operators may end a stop. Run armlab bridge resume.")
 
     def _take_trajectory(self, client: str, part: messages.TrajectoryRequest) -> None:
-        """Store one part of a trajectory, and submit the trajectory when the last part arrives."""
+        """Store one part of a trajectory; submit the trajectory when the last part arrives."""
         parts = [one for one in self._parts.pop(client, ()) if one.goal == part.goal]
         if part.index == len(parts) < _PARTS:
             parts.append(part)

@@ -38,7 +38,7 @@ _LARGEST = 2**17
 
 
 def socket_path(cell: str) -> Path:
-    """Return the socket path of a cell's local feed, which is in a private folder of the user."""
+    """Return the socket path of a cell's local feed in a private folder of the user."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(given) / "armlab" if given else Path(tempfile.gettempdir()) / f"armlab-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ class LocalFeed(contextlib.AbstractContextManager["LocalFeed"]):
             running = cells()
             if len(running) > 1:
                 raise ConfigError(
-                    f"Expected the name of a running cell ({', '.join(running)}), got none. Give --cell NAME."
+                    f"Expected the name of a running cell ({', '.join(running)}), got none. Specify --cell NAME."
                 )
             cell = running[0] if running else ""
         if not cell:
@@ -129,11 +129,11 @@ class LocalFeed(contextlib.AbstractContextManager["LocalFeed"]):
 
 _CLIENTS = 8
 _STATUS = 0.5  # s between status reports
-_EVENTS = 20  # last events, which are sent to a new client
-_KEPT = 100  # disconnected clients whose counts are kept
+_EVENTS = 20  # number of recent events sent to a new client
+_KEPT = 100  # number of disconnected clients whose counts are kept
 _RETRY = 0.005  # s between attempts to send queued requests
 _FRESH = struct.Struct("<q")
-_TAKEN = 16  # messages read from a client before the next client's turn
+_TAKEN = 16  # maximum number of messages read from a client per turn
 
 
 class _Client:
@@ -247,7 +247,7 @@ class LocalServer:
     def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # already disconnected, or too many open files: keep serving the others
+        except OSError:  # already disconnected, or too many open files; keep serving the others
             return
         connection.setblocking(False)
         if len(self._clients) >= _CLIENTS:

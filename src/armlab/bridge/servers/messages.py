@@ -134,7 +134,7 @@ _DECODER = msgspec.json.Decoder(Request)
 
 
 def read_request(data: bytes) -> Request:
-    """Decode a request; refuse invalid and oversized ones."""
+    """Decode a request; raise an error if it is invalid or too large."""
     if len(data) > _LARGEST:
         raise LinkError(f"Expected a request of at most {_LARGEST} bytes, got {len(data)}. Send a smaller request.")
     try:
@@ -149,7 +149,7 @@ def text_message(kind: str, **fields: Any) -> bytes:
 
 
 def parameter_message(parameters: Parameters) -> bytes:
-    """Return a message with all parameters: declaration, current value, and the client that last changed it."""
+    """Return a message with the declaration, current value and last setting client of each parameter."""
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]

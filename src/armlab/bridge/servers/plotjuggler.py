@@ -23,7 +23,7 @@ _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
 class Datagrams:
-    """JSON encoder of rows; `fields` lists the encoded fields, which fit into `largest` bytes."""
+    """JSON encoder for rows; `fields` lists the encoded fields, which fit into `largest` bytes."""
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
         self._schema = schema
@@ -99,7 +99,7 @@ class PlotJugglerServer:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             out.bind((self._from, 0))
             out.setblocking(False)
-            out.connect(self._to)  # connected, so that the system reports a missing receiver
+            out.connect(self._to)  # connected, so the operating system reports a missing receiver
             to, fields = "{}:{}".format(*self._to), ", ".join(self._datagrams.fields)
             self._loop.ask(Listening(where=[f"to {to} (plotjuggler: {fields})"]))
             while (messages := self._loop.receive(None)) is not None:
@@ -112,6 +112,6 @@ class PlotJugglerServer:
 
 
 def _size(field: RowField, owner: int) -> int:
-    """Return the maximum size of a field in bytes, including its name and the name of its owner."""
+    """Return the maximum size of a field in bytes, including its own name and that of its owner."""
     count = math.prod(field.shape)
     return len(field.name) + owner + 16 + count * (_NUMBER + len(str(count)) + 4)

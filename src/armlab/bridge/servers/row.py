@@ -1,8 +1,8 @@
 """Binary rows for other programs: `RowSchema` defines the fields, `RowWriter` packs a row, `read_row` unpacks it.
 
 A row is little-endian: "ALR1", the row length (uint32), the schema id (8 bytes), the row number (uint64), monotonic and
-wall clock (int64 ns), and the fields, each at a multiple of 8 bytes. A row has at most 8 KiB. The schema is canonical
-JSON; its id is the first 8 bytes of its SHA-256.
+wall clock (int64 ns), and the fields, each at a multiple of 8 bytes. A row is at most 8 KiB long. The schema is
+canonical JSON; its id is the first 8 bytes of its SHA-256.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class RowSchema:
         return cls([robot.name for robot in robots], fields)
 
     def require(self, robot: Robot, *, whole: bool = True) -> None:
-        """Raise unless the rows have the fields of this arm that readers rely on."""
+        """Raise an error unless the rows contain the fields of this arm that readers need."""
         for name, wanted in RowSchema.of([robot]).fields.items():
             found = self.fields.get(name, None if whole else wanted)
             if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
@@ -210,7 +210,7 @@ def read_row(schema: RowSchema, data: bytes) -> Row:
 
 
 def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
-    """Return the number, the monotonic clock and the wall clock [ns] of a row."""
+    """Return the number, the monotonic time and the wall-clock time [ns] of a row."""
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
     _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
@@ -222,7 +222,7 @@ def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
 
 
 def beginning(schema: RowSchema) -> bytes:
-    """Return the first bytes that all rows of a schema have in common."""
+    """Return the leading bytes, which are the same in all rows of a schema."""
     return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
 
 
@@ -265,7 +265,7 @@ class _Part:
 
 
 class RowWriter:
-    """Packer for the rows of a run, arm by arm."""
+    """Packs the rows of a run, arm by arm."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema, self._seq = schema, 0
@@ -310,7 +310,7 @@ class RowWriter:
 
 
 class RowsAsPackets:
-    """Base of the codecs of links that carry rows instead of EGM packets; see `wire.egm.Codec`."""
+    """Base class of codecs for links that carry rows instead of EGM packets; see `wire.egm.Codec`."""
 
     def __init__(self) -> None:
         self.capabilities: frozenset[str] = frozenset({"position", "velocity"})

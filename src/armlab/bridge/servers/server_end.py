@@ -29,10 +29,10 @@ from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
 
 _LARGEST = 2**17
-_URGENT = 256  # requests queued while the socket is full
+_URGENT = 256  # maximum number of requests queued while the socket is full
 _RETRY = 0.005  # s between attempts to send them
-_AT_ONCE = 64  # messages per call of `receive`
-_LONGEST = 1.0  # s, longest single wait
+_AT_ONCE = 64  # maximum number of messages per call of `receive`
+_LONGEST = 1.0  # s: longest single wait
 
 Clients = Mapping[str, tuple[int, int]]
 
@@ -50,7 +50,7 @@ class LoopEnd:
         self._lock = threading.Lock()
         self.parameters: dict[str, dict[str, Any]] = {}
         self.about: dict[str, Any] = {}
-        self._buffer = memoryview(bytearray(_LARGEST))  # reused: the system would map a new buffer for each row
+        self._buffer = memoryview(bytearray(_LARGEST))  # reused, because the system would map a new buffer for each row
         received: set[str] = set()
         while not {"about", "parameters"} <= received:
             messages = self.receive(None)
@@ -73,7 +73,7 @@ class LoopEnd:
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
-        """Return the messages (dict with "kind") up to and with the first row (bytes), or None once the loop has ended.
+        """Return the messages (dict with "kind") up to and including a row (bytes), or None once the loop has ended.
 
         Rows are returned one at a time, because checking for another row takes as long as handling one.
         """
@@ -98,8 +98,8 @@ class LoopEnd:
     def ask(self, request: Request) -> bool:
         """Send a request to the loop; return False if the socket is full.
 
-        Commands, settings, renewals and reports are then dropped, because newer ones follow; `receive` sends stops and
-        releases later. Trajectory parts leave room for stops and releases; the loop detects missing parts.
+        If it is full, commands, settings, renewals and reports are dropped, because newer ones follow; `receive` sends
+        stops and releases later. Trajectory parts leave room for stops and releases; the loop detects missing parts.
         """
         data = encoded(request)
         with self._lock:
@@ -115,7 +115,7 @@ class LoopEnd:
         return False
 
     def _wait(self, patience: float | None) -> None:
-        """Wait for a message, and send queued requests meanwhile."""
+        """Wait for a message; meanwhile, send queued requests."""
         until = math.inf if patience is None else time.monotonic() + patience
         while True:
             self._retry()

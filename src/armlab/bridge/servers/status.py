@@ -100,7 +100,7 @@ _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", 
 
 
 class Watch:
-    """Formatter of a bridge's state as text, updated by its messages."""
+    """Formats the state of a bridge as text, based on its messages."""
 
     cell: str = ""
     told: int = 0
@@ -161,7 +161,7 @@ class Watch:
         }
 
     def recording(self) -> str:
-        """Return the files of the recording, their size, and the remaining time until the disk is full."""
+        """Return the recording files, their size, and the time until the disk is full."""
         found = {file: size for file in self._files if (size := _size(file)) is not None}
         sizes = list(found.values())
         if not sizes:
@@ -208,7 +208,7 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
 
 
 def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_commanded: bool) -> str:
-    """Return the state of an arm that sends packets, or the reason why it cannot move."""
+    """Return the state of an arm that sends packets, or why it cannot move."""
     doing = "listening" if not is_answered else "running" if is_commanded else "holding"
     return not_ready_reason(motors, rapid, mci) or doing
 

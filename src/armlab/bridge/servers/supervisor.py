@@ -24,17 +24,17 @@ from armlab.state import State
 __all__ = ["Offering", "PLACE", "RESTARTS", "Servers", "WELL", "server_command", "stoppable"]
 
 PLACE = "{fd}"
-"""Placeholder in a command for the number of the socket to the loop."""
+"""Placeholder in a command line for the file descriptor of the socket to the loop."""
 
 RESTARTS = (1.0, 5.0, 30.0)
-"""Delays before a crashed server is restarted [s]; once all delays are used, the server is not restarted again."""
+"""Delays before a crashed server is restarted [s]; after the last delay, it is not restarted again."""
 
 WELL = 300.0
 """Uptime after which the restart count of a server is reset [s]."""
 
 _CHECK_EVERY = 0.05  # s
 _IDLE = 200_000_000  # ns without a robot packet after which requests are handled here
-_QUOTED = 1000  # bytes kept of a server's last error output
+_QUOTED = 1000  # kept bytes of a server's last error output
 _PATIENCE = 3.0  # s for a process to exit before it is killed
 
 
@@ -58,7 +58,7 @@ class _Child:
         self.failure = ""
 
     def read(self) -> None:
-        """Read the standard error of the process, and keep the end."""
+        """Read the standard error of the process and keep its end."""
         if not self.errors.is_open:
             return
         with contextlib.suppress(BlockingIOError):
@@ -72,7 +72,7 @@ class _Child:
 
 
 class Servers:
-    """Supervisor that starts and restarts the server processes of a hub; a context manager."""
+    """Supervisor that starts and restarts the server processes of a hub; use it as a context manager."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class Servers:
             for child in [child for child in self._children if child.due is not None]:
                 try:
                     self._check(child)
-                except Exception as error:  # concerns one server: the others stay supervised
+                except Exception as error:  # affects one server; the others stay supervised
                     self._fail(child, error)
             try:
                 self._exchange.idle(_IDLE)
@@ -190,8 +190,8 @@ class Servers:
     def _plan(self, child: _Child, what: str) -> None:
         """Schedule the restart of a server that has ended, unless it never listened.
 
-        The restart count is reset once a process has listened for `well` seconds, so that only a fault that recurs soon
-        ends the server permanently.
+        The restart count is reset once a process has listened for `well` seconds, so only a fault that recurs soon ends
+        the server permanently.
         """
         outlet = self._exchange.outlets[child.name]
         child.has_listened |= outlet.where is not None
@@ -212,7 +212,7 @@ class Servers:
         self._exchange.tell(f"The server {child.name} {what}. {then} Its output: {child.last_output}", warn=True)
 
     def _end(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
-        """Wait for a process to exit after its socket was closed."""
+        """Wait for a process to exit after its socket has been closed."""
         try:
             process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
@@ -237,7 +237,7 @@ class Offering:
             raise
 
     def close(self) -> None:
-        """Close the feed, which ends it for its clients."""
+        """Close the feed and disconnect its clients."""
         self._servers.close()
 
 

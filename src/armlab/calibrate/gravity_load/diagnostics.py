@@ -13,19 +13,19 @@ from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation
 from armlab.errors import NotConverged, NotExcited
 from armlab.lie import so3
 
-MISREAD, MISREAD_FAR = 1e-3, 0.1  # relative residuals of the forces from which other conventions are tried
-WIDE = 0.4  # variation of gravity in tool axes beyond which a wrong convention leaves large residuals
+MISREAD, MISREAD_FAR = 1e-3, 0.1  # relative force residuals above which other conventions are tried
+WIDE = 0.4  # variation of gravity in tool axes above which a wrong convention leaves large residuals
 STILL = 1e-6  # variation of gravity in tool axes that counts as zero
-HAND = 20.0  # Delta from which the handedness is decided
-RICH = 0.1  # variation of gravity in two directions beyond which the readings must follow it
+HAND = 20.0  # minimum Delta for deciding the handedness
+RICH = 0.1  # variation of gravity in two directions above which the readings must follow it
 UNEXPLAINED = 0.5  # largest accepted fraction of the variation that a load does not explain
-ROUGH = 5.0  # ratio to the given noise beyond which noise does not explain the residuals
-FIRST_ORDER = 0.05  # angle [rad]: a larger standard deviation is only a first-order approximation
-FAR, ABSURD = 1.0, 10.0  # distances [m] of a centre of mass whose unit is possibly, or certainly, wrong
-OTHER_UNIT = 2.0  # factor too large for an error in weight or gravity
+ROUGH = 5.0  # ratio to the given noise above which noise does not explain the residuals
+FIRST_ORDER = 0.05  # rad; larger standard deviations are only first-order approximations
+FAR, ABSURD = 1.0, 10.0  # centre-of-mass distances [m] above which the unit is possibly, or certainly, wrong
+OTHER_UNIT = 2.0  # factor above which a wrong unit is more likely than an error in weight or gravity
 HEAVY, LIGHT = 500.0, 1e-3  # masses [kg] beyond the range of arms and sensors
 LOW_GRAVITY = 1.5  # m/s^2, less than the gravity of the Moon
-MANY = 1.0 / 3.0  # fraction of outliers from which the left-handed solution is tried
+MANY = 1.0 / 3.0  # fraction of outliers above which the left-handed solution is tried
 STANDARD = 9.80665  # standard gravity [m/s^2]
 
 
@@ -82,7 +82,7 @@ class LoadUnknowns:
 
 
 def _along(equation: WeightEquation) -> str:
-    """Return the names of the other unknowns that are unidentifiable along the axis of the rotation."""
+    """Return the suffix for a rotation: the unknowns that are unidentifiable along the rotation axis."""
     return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
 
 
@@ -100,7 +100,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Raise an error for too few or unexciting samples; return the variation of gravity in its second direction."""
+    """Raise an error for too few or unexciting samples; return gravity's variation along its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
@@ -113,7 +113,7 @@ def require_motion(equation: WeightEquation) -> float:
         M = equation.RA.mean(axis=0)
         squares, axes = np.linalg.eigh(np.eye(3) - M.T @ M)
         moved, u = np.sqrt(np.maximum(squares[[2, 0]], 0.0)), axes[:, 0]
-        still = "orientation of the tool does not change"
+        still = "the tool orientation does not change"
         line = f"rotation about {axis_text(u, 'tool')}, weight and bias along it"
     else:
         moved = equation.turn.moved[:0:-1]  # in descending order
@@ -132,7 +132,7 @@ def require_motion(equation: WeightEquation) -> float:
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Raise an error for readings that do not follow gravity, if gravity in tool axes varies enough."""
+    """Raise an error if the readings do not follow gravity although gravity in tool axes varies enough."""
     count = np.count_nonzero(kept)
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
@@ -149,7 +149,7 @@ def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.
 
 
 def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> float:
-    """Return the fraction of the variation of the forces that a load does not explain."""
+    """Return the fraction of the force variation that a load does not explain."""
     w = equation.weights[kept] / equation.weights[kept].sum()
     f = equation.y[kept, :3]
     r = f - load.gamma @ (equation.RA[kept] @ load.R)
@@ -166,11 +166,11 @@ def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
         times = turn.m / equation.mass
         if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
             return f"Readings of {times:.3g} times the expected size would fit; check the units."
-    return "Check that sample i of both records is simultaneous, and that the poses are poses of the tool."
+    return "Check that sample i was taken at the same time in both records, and that the poses are tool poses."
 
 
 def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
-    """Raise on a sensor with a mirrored axis or a reversed sign; return a remark if the handedness is undecided."""
+    """Raise an error for a mirrored axis or a reversed sign; return a remark if the handedness is undecided."""
     if equation.pull is None:
         return ""
     turn = equation.turn if kept.all() else Turn.of(equation, kept)
@@ -179,7 +179,7 @@ def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
     if turn.difference > -HAND:
         return (
             f"handedness and sign of the sensor are undecided (Delta {turn.difference:.1f}, at least {HAND:.0f} "
-            "required): rotate the tool farther"
+            "required): rotate the tool further"
         )
     error = mirrored(equation, turn)
     if _unexplained(equation, error.best, kept) > UNEXPLAINED:
@@ -208,8 +208,8 @@ def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
     bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ R), axis=0) * equation.bias
     return NotConverged(
         "Expected readings in right-handed axes with the given sign, got the opposite. An axis is mirrored or the "
-        f"sign is reversed (Delta {turn.difference:.3g}); the data cannot distinguish the two. Correct the axis that "
-        "is reversed according to the manual of the sensor, or pass the other sign.",
+        f"sign is reversed (Delta {turn.difference:.3g}); the data cannot distinguish the two. Correct the reversed "
+        "axis according to the sensor manual, or pass the other sign.",
         best=Load(R, gamma, bias, np.full(3, np.nan)),
         reason="left_handed",
     )
@@ -217,7 +217,7 @@ def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
 
 def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
     equation, load, away = words.equation, words.load, float(np.linalg.norm(words.load.centre))
-    lines = [f"relative variation of gravity in tool axes in its second direction: {moved:.2g}"]
+    lines = [f"relative variation of gravity in tool axes, along its second principal direction: {moved:.2g}"]
     if squares is not None:
         lines.append(f"residuals {np.sqrt(squares):.3g} times the given noise")
     if equation.pull is None:
@@ -247,7 +247,7 @@ def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
 
 
 def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
-    """Raise an error if another convention of the orientations explains the forces much better."""
+    """Raise an error if another orientation convention explains the forces much better."""
     if equation.pull is None:
         return
     now = equation.turn if kept.all() else Turn.of(equation, kept)

@@ -3,7 +3,7 @@
     f_i = s m R^T R_base_tool,i^T g + b_f,        tau_i = c x (f_i - b_f) + b_tau,        R = R_tool_sensor
 
 For forces with known gravity, the maximum-likelihood solution has a closed form (Umeyama 1991). All parameters are then
-fitted jointly, so that torques refine the rotation.
+fitted jointly, so torques also refine the rotation.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def fit_force_sensor(
     Parameters
     ----------
     T_base_tool : (N, 4, 4) poses, or (N, 3, 3) orientations, of the tool at rest without contact.
-    wrench : (N, 3) forces, or (N, 6) forces and torques, raw, in sensor axes [N, N m].
-    gravity : (3,) gravity in base axes [m/s^2]; or "unknown": the weight in base axes is then also estimated.
+    wrench : (N, 3) raw forces, or (N, 6) raw forces and torques, in sensor axes [N, N m].
+    gravity : (3,) gravity in base axes [m/s^2]; or "unknown", to also estimate the weight in base axes.
     sign : +1 if the sensor reads the weight of the load, -1 if it reads the reaction force.
     bias : whether the unloaded sensor may have non-zero readings.
     mass : known mass of the load [kg]; default: estimated.
@@ -75,7 +75,7 @@ def fit_force_sensor(
     Returns
     -------
     Fit of a `models.ForceSensor`
-        Parameters: rotation vector of R_tool_sensor (the covariance is that of w in R Exp(w), in sensor axes [rad]),
+        Parameters: rotation vector of R_tool_sensor (its covariance refers to w in R Exp(w), in sensor axes [rad]),
         mass or weight, bias, centre of mass. Without torques, `centre` and the moments of `bias` are NaN.
 
     Raises
@@ -149,7 +149,7 @@ def fit_accelerometer(
     Returns
     -------
     Fit of a `models.Accelerometer`
-        Parameters: rotation vector of R_tool_sensor (the covariance is that of w in R Exp(w), in sensor axes [rad]),
+        Parameters: rotation vector of R_tool_sensor (its covariance refers to w in R Exp(w), in sensor axes [rad]),
         scale if estimated, bias [m/s^2].
 
     Raises
@@ -255,7 +255,7 @@ def _better_of_mirrored(
 
 
 def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnknowns) -> None:
-    """Raise with the cause of a failed descent: readings that do not follow gravity, or too little excitation."""
+    """Raise an error if readings that do not follow gravity, or too little excitation, caused a failed descent."""
     (one,) = equation.evaluate(best)
     everything = np.ones(equation.N, dtype=bool)
     require_order_of_tool(equation, everything)

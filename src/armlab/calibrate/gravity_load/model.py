@@ -1,4 +1,4 @@
-"""Model of a sensor that measures a load under gravity: residuals with Jacobian, closed forms, initial guesses.
+"""Model of a sensor with a load under gravity: residuals with Jacobian, closed forms, initial guesses.
 
     f_i = R^T R_base_tool,i^T gamma + b_f,        tau_i = c x (R^T R_base_tool,i^T gamma) + b_tau
 
@@ -19,13 +19,13 @@ from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
 ROUNDING = 1e-11  # rounding errors relative to the largest reading
-FLOOR = 1e-6  # noise relative to the readings below which it is rounding
+FLOOR = 1e-6  # noise relative to the readings below which noise is rounding
 ROUNDS = 50  # maximum number of reweighting steps
 SETTLED = 1e-3  # change of the weights at convergence, relative to the largest weight
 SHORT = 1e-3  # smallest residual used in the weights, relative to the median residual
-FAR = 4.0  # ratio to the median residual beyond which a sample is excluded from the initial guess
+FAR = 4.0  # ratio to the median residual above which a sample is excluded from the initial guess
 NULL = 1e-9  # relative singular value that counts as zero
-ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight beyond which the mirror solution is also a minimum
+ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight above which the mirror solution is also a minimum
 
 
 class Load(NamedTuple):
@@ -45,7 +45,7 @@ class WeightEquation:
     bias: bool  # whether the readings have a bias
     mass: float | None  # known mass; None: estimated
     noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None: estimated
-    classes: tuple[str, ...]  # name of the noise class of each column of y
+    classes: tuple[str, ...]  # noise class of each column of y
     what: str
 
     @property
@@ -126,7 +126,7 @@ class WeightEquation:
         return Turn.of(self)
 
     def start(self) -> Load:
-        """Return the closed-form load, which is optimal without torques and with isotropic noise."""
+        """Return the closed-form load, which is optimal for forces with isotropic noise."""
         R, gamma = self._unknown_gravity() if self.pull is None else (self.turn.R, self.turn.m * self.pull)
         u = gamma @ (self.RA @ R)
         w = self.weights[:, None] / self.weights.sum()
@@ -171,8 +171,8 @@ class Turn(NamedTuple):
     """
 
     R: np.ndarray  # (3, 3)
-    H: np.ndarray  # (3, 3) product of gravity in tool axes with itself
-    S: np.ndarray  # (3, 3) product of gravity in tool axes with the forces
+    H: np.ndarray  # (3, 3) second moments of gravity in tool axes
+    S: np.ndarray  # (3, 3) cross moments of gravity in tool axes and the forces
     m: float  # mass
     other_m: float  # mass of the best left-handed solution
     power: float  # residual sum of squares
@@ -216,8 +216,8 @@ class Turn(NamedTuple):
 def likely_samples(equation: WeightEquation) -> np.ndarray:
     """Return the mask (N,) of the samples for the initial guess, selected by a robust linear regression.
 
-    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b``, or in gravity in tool axes if it
-    is known. The regression minimises ``sum |r_i|``, which is convex and robust against contacts.
+    Forces are linear in the tool orientation, ``f_i = sum_k c_k (R_i)_k + b``; for known gravity, they are linear in
+    gravity in tool axes. The regression minimises ``sum |r_i|``, which is convex and robust against contacts.
     """
     X = equation.RA.reshape(equation.N, 9) if equation.pull is None else equation.pull @ equation.RA
     if equation.bias:

@@ -3,9 +3,9 @@
     Z_i = T_a(q_a,i)^-1 T_basea_baseb T_b(q_b,i)
 
 The measurement Z is the pose of b's tool, or the position of a point on it, relative to a's tool. One system of
-equations covers both arms and all samples. No absolute measurement is needed. Without one, the pose of each base
-relative to its arm is a convention. The motion of a point on b's tool in a's tool axes is its motion due to the frames
-and the base of b, minus its motion due to the frames of a.
+equations covers both arms and all samples. Absolute measurements are optional; without them, the pose of each base
+relative to its arm is a convention. The motion of a point on b's tool, in a's tool axes, is the motion due to the
+frames and the base of b minus the motion due to the frames of a.
 """
 
 from __future__ import annotations
@@ -71,9 +71,8 @@ def fit_dual_arm(
     q_a, q_b : (N, n) simultaneous joint positions [rad or m].
     pose : (N, 4, 4) poses of b's tool relative to a's tool; (4, 4) if a closed chain holds the tools in a known pose.
     position : (N, 3) positions of b's tool point in a's tool axes [m].
-    closed : True if the tools are joined, so that b's tool is fixed relative to a's tool. The relative pose may be
-        unknown.
-    absolute_a : (N, 4, 4) poses of a's tool in a frame that then defines the base of a.
+    closed : True if the tools are rigidly joined; their relative pose may be unknown.
+    absolute_a : (N, 4, 4) poses of a's tool in an external frame, which then defines the base of a.
     visible : (N,) mask, False for missing relative measurements.
     noise : noise of the relative measurement, as in `fit_kinematics`. Default: estimated.
     noise_absolute : noise of `absolute_a`, (sd [m], sd [rad]) or a covariance; required with `noise`.
@@ -96,7 +95,7 @@ def fit_dual_arm(
 
     References
     ----------
-    Bennett and Hollerbach (1991), IEEE T-RA 7(5), for closed chains and their scale.
+    Bennett and Hollerbach (1991), IEEE T-RA 7(5) (closed chains and their scale).
     """
     q_a, q_b = check_joints(robot_a, q_a, "q_a"), check_joints(robot_b, q_b, "q_b")
     if len(q_a) != len(q_b):
@@ -124,7 +123,7 @@ def fit_dual_arm(
 
 
 def _without_bases(problem: DualProblem) -> np.ndarray:
-    """Return the mask of the unknowns without the gauge and the bases, whose relative pose is T_basea_baseb."""
+    """Return the mask of unknowns without the gauge and the bases; T_basea_baseb replaces the bases."""
     a, b = problem.arm_a.unbound.copy(), problem.arm_b.unbound.copy()
     b[:6] = False
     a[:6] &= problem.absolute
@@ -281,7 +280,7 @@ class DualProblem:
         return found
 
     def priors(self, state: DualState, local: bool = False) -> Iterator[Measurement]:
-        """Yield the priors of the amplitudes and, if requested, of the links."""
+        """Yield the priors on the amplitudes and, if requested, on the links."""
         for arm, one, at in ((self.arm_a, state.a, 0), (self.arm_b, state.b, self.arm_a.size)):
             if arm.orders:
                 yield amplitude_prior(arm, one, self.size, at)
@@ -313,7 +312,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return mask
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the directions of the orientation of b's tool, which measured positions never determine."""
+        """Return the orientation directions of b's tool, which position measurements never determine."""
         problem = self.problem
         at = problem.arm_a.size + 6 * problem.arm_b.n + 3
         turns = np.zeros((problem.size, 3))
@@ -323,7 +322,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the directions of joints at rest, of the common motion of both tools, and of the scale."""
+        """Return the directions of joints at rest, the common motion of both tools, and the overall scale."""
         arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
         a, size = arm_a.size, self.problem.size
         found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")
@@ -351,7 +350,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return self.result(found, state, self._value, ())
 
     def spaces(self) -> list[float]:
-        """Return the size of the workspace of each measurement [m]; for a closed chain, that of arm a."""
+        """Return the workspace size of each measurement [m]; for a closed chain, the workspace of arm a."""
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:

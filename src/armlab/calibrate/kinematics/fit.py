@@ -1,9 +1,9 @@
-"""Kinematic calibration of the frames of an arm, its tool and its base from external measurements.
+"""Kinematic calibration of an arm, including base and tool, from external measurements.
 
     T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
 
-Every frame may move by a twist, so that arms with parallel axes need no special treatment. The estimate maximises the
-likelihood of all kinds of measurement; `excitation` names the unobservable directions.
+Every frame may move by a twist, so arms with parallel axes need no special treatment. The estimate maximises the joint
+likelihood of all measurements; `excitation` names the unobservable directions.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ def fit_kinematics(
 
     Parameters
     ----------
-    robot : nominal arm, from which the fit starts. A distant measurement frame is located first.
+    robot : nominal arm, used as initial guess. A measurement frame far from the nominal base is located first.
     q : (N, n) joint positions [rad or m].
-    pose : (N, 4, 4) measured poses of the tool.
+    pose : (N, 4, 4) measured tool poses.
     position : (N, 3) measured positions of the tool point [m], or (N, K, 3) of K points at unknown positions on the
         tool.
     distance : (N,) measured distances of the tool point from `anchor`, a fixed, approximately known point [m].
@@ -75,14 +75,14 @@ def fit_kinematics(
         [m].
     anchor : (3,) initial guess of the fixed point in the measurement frame [m].
     length_offset, length_scale : estimate offset and scale of distances, ``measured = scale * true + offset``.
-    visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} if the masks of the kinds differ.
+    visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} for a separate mask per kind.
     noise : standard deviations: for poses a pair ([m], [rad]) or 6 values; for positions 1 or 3 values [m]; for
         distances 1 value [m]. Or covariances (k, k) or (N, k, k). An infinite standard deviation excludes a component.
         For several kinds of measurement: {"pose": ..., "distance": ...}. Default, also for omitted kinds: estimated.
-    model : "local_poe": steps of the frames; "poe": steps of the screws in the base and of the home pose. The result
-        is the same.
+    model : "local_poe": steps of the frames; "poe": steps of the base-frame screws and the home pose. Both give the
+        same result.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
-        frames, in which joint j + 1 moves about or along the z axis of frame j.
+        frames. Joint j + 1 moves about or along the z axis of frame j.
     harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, with a prior of 0.1 deg on the amplitudes.
     joint_terms : phi (N, n, L), for example gravity torques; ``sum_l c_l phi_l`` is added to q.
     prior : standard deviation of the links [m and rad], one value or a pair, for `weak="prior"`; base and tool have no
@@ -95,14 +95,14 @@ def fit_kinematics(
     -------
     Fit of a `models.KinematicCorrection`
         The parameters are the twists of the frames relative to the start (with minimum norm along the gauge), then
-        amplitudes, coefficients, points, anchor and the optional unknowns. `residuals` and `outliers` have one row per
-        sample, then one row per pair; residuals of missing measurements are NaN.
+        amplitudes, coefficients, points, anchor, length offset and length scale, if used. `residuals` and `outliers`
+        have one row per sample, then one row per pair; residuals of missing measurements are NaN.
 
     Raises
     ------
     NotExcited : unidentifiable directions (named in the message).
     NotConverged : inconsistent samples.
-    ShapeError : wrong shapes, NaN that is not masked, invalid rotations, millimetres, degrees.
+    ShapeError : wrong shapes, unmasked NaN, invalid rotations, millimetres, degrees.
     ConfigError, UnknownName : invalid options.
 
     References
@@ -111,7 +111,7 @@ def fit_kinematics(
     """
     q = check_joints(robot, q)
     if len(q) == 0:
-        raise NotExcited("Expected samples, got an empty q. Measure poses of the arm.", ["everything"], ["no samples"])
+        raise NotExcited("Expected samples, got an empty q. Measure the arm.", ["everything"], ["no samples"])
     _check_options(model, free, weak)
     orders, terms = check_harmonics(harmonics), check_terms(joint_terms, q.shape)
     given = {"pose": pose, "position": position, "distance": distance, "pair_distance": pair_distance}
@@ -125,7 +125,7 @@ def fit_kinematics(
     reduced = isinstance(free, str) and free == "all" and held is None
     active = used & _with_rest(arm.unbound, problem.size) if reduced else used
     if reduced and not problem.points and not any(kind.name == "pose" for kind in problem.kinds):
-        active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point does not determine the rotation of the tool
+        active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point does not determine the tool rotation
     problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
     estimation = ArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior", start)
     solution = estimation.solve(robust)
@@ -146,7 +146,7 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
     if anchor is None:
         if needed:
             raise ConfigError(
-                "Expected an initial guess of the fixed point of distances, got no anchor. Pass anchor=(x, y, z)."
+                "Expected an initial guess of the fixed point for distances, got no anchor. Pass anchor=(x, y, z)."
             )
         return np.zeros(3)
     found = numbers(anchor, "anchor", ShapeError)
@@ -156,7 +156,7 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
 
 
 def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool) -> None:
-    """Raise an error for negative distances, and on distances in millimetres."""
+    """Raise an error for negative distances and for distances in millimetres."""
     lengths = [kind for kind in problem.kinds if "distance" in kind.name]
     if not lengths:
         return

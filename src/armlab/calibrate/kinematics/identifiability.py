@@ -1,9 +1,12 @@
 """Identifiability of the parameters of an arm: gauge, directions that the measurements never determine, joints at rest.
 
-Directions are in units of the limits. There are three classes of unobservable directions. Gauge: motion that can be
-moved from one frame to the next. Structural: a tool point does not determine the orientation of the tool, and a
-distance does not determine the base. Data-dependent: a joint at rest, a tool point on the last axis, or an unknown
-scale. Data-dependent directions and directions with a standard deviation beyond their limit raise NotExcited.
+Directions are in units of the limits. There are three classes of unobservable directions:
+
+gauge           motion that can be moved from one frame to the next without effect
+structural      a tool point does not determine the tool orientation, and a distance does not determine the base
+data-dependent  a joint at rest, a tool point on the last axis, or an unknown scale
+
+Data-dependent directions, and directions whose standard deviation exceeds its limit, raise NotExcited.
 """
 
 from __future__ import annotations
@@ -19,10 +22,10 @@ from armlab.estimation import Excitation
 from armlab.lie import se3, so3
 
 NULL = 1e-9  # relative singular value below which a direction is unobservable
-SEEN = 1e-8  # the same limit for a candidate direction, which has rounding errors
+SEEN = 1e-8  # the same limit for candidate directions, which contain rounding errors
 SAME = 0.9  # cosine above which a direction matches a named one
 PART = 0.3  # fraction of the largest component above which a component is named
-LITTLE, STILL = 0.35, 1e-3  # motion [rad or m] below which a joint is named as a cause, and counts as at rest
+LITTLE, STILL = 0.35, 1e-3  # motion [rad or m] below which a joint is named as a cause, or counts as at rest
 TURNED, SHIFTED = 0.5, 0.3  # implausible deviations of a link: [rad], and fraction of the reach
 
 
@@ -49,7 +52,7 @@ class IdentifiabilityTest:
     what: str  # name of the fitted quantity
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
-        """Return the excitation of the whitened Jacobian (m, d); raise on weak directions unless a prior holds them."""
+        """Return the excitation of the whitened Jacobian (m, d); weak directions raise an error unless `hold`."""
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
@@ -80,7 +83,7 @@ class IdentifiabilityTest:
         )  # fmt: skip
 
     def words(self, v: np.ndarray, spread: float) -> str:
-        """Return the names of the largest components of a direction, with the standard deviation of the largest."""
+        """Return the names of a direction's largest components, with the standard deviation of the largest."""
         order = [int(i) for i in np.argsort(-np.abs(v))[:3]]
         kept = [i for i in order if abs(v[i]) > PART * abs(v[order[0]])]
         text, i = " and ".join(self.names[i] for i in kept), order[0]
@@ -130,8 +133,8 @@ class _Named:
     def sentence(self, what: str) -> str:
         todo = " ".join(dict.fromkeys(text for text in self.advice if text))
         return (
-            f"Expected measurements that determine every direction of the {what}, but {len(self.words)} are "
-            f"undetermined or beyond the limit: {'; '.join(self.words)}. "
+            f"Expected measurements that determine every direction of the {what}, got {len(self.words)} undetermined "
+            f"or beyond the limit: {'; '.join(self.words)}. "
             f"{todo or 'Measure at more positions, with more variation of all joints.'} "
             "With weak='prior', the fit holds these directions near their nominal values."
         )
@@ -166,13 +169,13 @@ def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
     if share[j] < 1.0:
         return []
     return [
-        f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: possible causes are a "
-        "reversed joint, a joint offset, left-handed measurements or a different arm"
+        f"link {j + 1}{whose} deviates by {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: possible causes "
+        "are a reversed joint, a joint offset, left-handed measurements or a different arm"
     ]
 
 
 def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
-    """Return, for each joint with little motion, the directions that can be moved from frame to frame through it."""
+    """Return, for each joint with little motion, the directions that can be moved across it to the next frame."""
     found = []
     reach = np.ptp(arm.q, axis=0)
     for j in np.flatnonzero(reach < LITTLE):

@@ -1,4 +1,4 @@
-"""Validated measurements of a kinematic calibration, with the mask and the noise of each kind."""
+"""Validated measurements for kinematic calibration, with mask and noise of each kind."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _by_kind(value: Any, names: list[str], what: str) -> dict[str, Any]:
 
 
 def _values(name: str, value: Any, N: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the measurements with a validated shape, and the index pairs of pair distances."""
+    """Return the measurements with validated shapes, and the index pairs of pair distances."""
     if name == "pair_distance":
         return _pairs(value, N)
     array = numbers(value, name, ShapeError)
@@ -143,7 +143,7 @@ def _pairs(value: Any, N: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
-    """Return the mask of the measurements that are not missing: (N,), or (N, K) for positions."""
+    """Return the mask of available measurements: (N,), or (N, K) for positions."""
     shape = values.shape[:2] if name == "position" else values.shape[:1]
     if value is None:
         return np.ones(shape, dtype=bool)
@@ -154,7 +154,7 @@ def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
 
 
 def _finite(values: np.ndarray, seen: np.ndarray, name: str) -> None:
-    """Raise an error for NaN and infinity in visible measurements, and list the rows."""
+    """Raise an error that lists the rows with NaN or infinity in visible measurements."""
     if not values.size:
         return
     good = np.isfinite(values.reshape(*seen.shape, -1)).all(axis=-1) | ~seen

@@ -1,4 +1,4 @@
-"""Model of a kinematic calibration: unknowns of one arm, and residuals of all kinds of measurement with Jacobian.
+"""Kinematic calibration model: unknowns of one arm, and residuals with Jacobian for all kinds of measurement.
 
 The frames E_j are those of `robots.Robot`, with joint axes z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each frame
 to ``E_j Exp([v; w])``. A motion that commutes with Z_j can be moved from E_{j-1} to E_j without effect (gauge).
@@ -23,7 +23,7 @@ from armlab.robots import Robot
 
 # Components of [v; w] that commute with a revolute (False) and with a prismatic (True) joint.
 GAUGE: dict[bool, tuple[int, ...]] = {False: (2, 5), True: (0, 1, 2, 5)}
-SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12  # maximum number of steps to the nearest equivalent frames; last step
+SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12  # to the nearest equivalent frames: maximum steps, step at convergence
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 HARMONIC_PRIOR = np.radians(0.1)  # prevents amplitudes of several degrees that compensate for geometric errors
 
@@ -46,7 +46,7 @@ class Arm:
     waves: np.ndarray  # (N, n, 2 m) harmonics at q
     terms: np.ndarray  # (N, n, L) joint terms
     orders: tuple[int, ...]  # orders of the harmonics
-    chart: str = "local_poe"  # steps move the frames; "poe": steps move the screws in the base and the home pose
+    chart: str = "local_poe"  # steps move the frames; "poe": steps move the base-frame screws and the home pose
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
@@ -76,7 +76,7 @@ class Arm:
         return (*twists, *("rad",) * self.waves[0].size, *("rad/unit",) * self.terms.shape[2])
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return limits (d,): `length` for metres, `angle` for radians, and its equivalent for joint terms."""
+        """Return limits (d,): `length` for metres, `angle` for radians, and the equivalent angle for joint terms."""
         twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
         parts = [twists, np.full(self.waves[0].size, angle)]
         if self.terms.shape[2]:
@@ -86,7 +86,7 @@ class Arm:
 
     @cached_property
     def unbound(self) -> np.ndarray:
-        """Mask (d,) of the unknowns without the gauge; it excludes the motion of a frame along the following axis."""
+        """Mask (d,) of the unknowns without the gauge; excludes frame motion that commutes with the next joint."""
         kept = np.ones(self.size, dtype=bool)
         for j, slides in enumerate(self.robot.prismatic):
             kept[[6 * j + k for k in GAUGE[bool(slides)]]] = False
@@ -142,7 +142,7 @@ class Arm:
 
     @cached_property
     def moving(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        """Joint, component and name (g,) of each twist that can be moved through a joint without effect."""
+        """Joint, component and name (g,) of each twist that can be moved across a joint without effect."""
         joints, parts, names = [], [], []
         for j, slides in enumerate(self.robot.prismatic):
             for k in GAUGE[bool(slides)]:
@@ -198,7 +198,7 @@ class Arm:
 
 
 def frame_steps(frames: np.ndarray) -> np.ndarray:
-    """Return the steps of the frames (d, d) equivalent to steps of the screws and the home pose in the base.
+    """Return the frame steps (d, d) equivalent to steps of the base-frame screws and the home pose.
 
     With ``C_j = E_0 ... E_j``, the screw of joint j + 1 is ``Ad(C_j) e_z``. Steps ``C_j Exp(x_j)`` for all j change the
     frames to ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``.
@@ -219,7 +219,7 @@ def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 class State(NamedTuple):
-    """Unknowns: the arm, points (K, 3) in tool axes, anchor (3,), and offset and scale (2,) of lengths."""
+    """Unknowns: the arm, points (K, 3) in tool axes, anchor (3,), and length offset and scale (2,)."""
 
     arm: ArmState
     points: np.ndarray
@@ -239,7 +239,7 @@ class KinematicProblem:
 
     @cached_property
     def size(self) -> int:
-        """Number d of unknowns, including the gauge: arm, points, anchor, offset and scale of lengths."""
+        """Number d of unknowns, including the gauge: arm, points, anchor, length offset and scale."""
         return self.arm.size + 3 * self.points + 5
 
     @property
@@ -270,7 +270,7 @@ class KinematicProblem:
         return (*self.arm.units, *("m",) * (3 * self.points + 4), "-")
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return limits (d,): `length` for metres, `angle` for radians and for the scale of lengths."""
+        """Return limits (d,): `length` for metres, `angle` for radians and for the length scale."""
         lengths = np.full(3 * self.points + 4, length)
         return np.concatenate([self.arm.sizes(length, angle), lengths, [angle]])
 
@@ -327,7 +327,7 @@ class KinematicProblem:
         return found
 
     def priors(self, state: State, local: bool = False) -> Iterator[Measurement]:
-        """Yield the priors of the amplitudes and, if requested, of the links."""
+        """Yield the priors on the amplitudes and, if requested, on the links."""
         arm, d = self.arm, self.size
         if arm.orders:
             yield amplitude_prior(arm, state.arm, d)
@@ -355,7 +355,7 @@ class KinematicProblem:
         return found
 
     def _length(self, kind: Kind, state: State, p: np.ndarray, J: np.ndarray) -> Measurement:
-        """Return the residuals of distances of tool points p (N, 3) from the anchor or, for pairs, from each other."""
+        """Return the distance residuals of tool points p (N, 3) to the anchor or, for pairs, to each other."""
         rows, (offset, scale) = np.flatnonzero(kind.visible), state.length
         if kind.pairs is None:
             sample, away, moved = rows, p[rows] - state.anchor, J[rows]
@@ -406,7 +406,7 @@ def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measur
 def link_prior(
     arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False
 ) -> Measurement:
-    """Return the prior on the links, without base and tool; the unknowns of the arm begin at index `at`."""
+    """Return the prior on the links, excluding base and tool; the unknowns of the arm begin at index `at`."""
     twists = arm.corrections(state.frames)[1:-1]
     steps = np.eye(6 * (arm.n + 1)) if local or arm.chart == "local_poe" else frame_steps(state.frames)
     J = np.zeros((arm.n - 1, 6, size))

@@ -25,21 +25,21 @@ from armlab.models import KinematicCorrection
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # units of the minimum-norm step: 1 mm and 1 mrad
 WEAK = ("refuse", "prior")
-MISFIT = 0.1  # fraction of the measured size, or of half a turn, beyond which samples are inconsistent
+MISFIT = 0.1  # residual, relative to the workspace size or to half a turn, above which samples are inconsistent
 NO_NOISE = 1e-12  # smallest noise [m or rad]
-GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on it
+GAUGE = 1e-6  # component along an unidentifiable direction above which a parameter is not identifiable
 ROUNDING = 1e-9  # motion relative to the largest coordinate that counts as rounding
 NOBODY = np.zeros(0, dtype=int)
-FAR = 0.1  # distance [m or rad] from the nominal robot beyond which the measurement frame is a different frame
-MILLIMETRES = 30.0  # ratio of lengths too large for the deviation of an arm from its description
-STILL = 1e-4  # ratio of lengths too small for an error of the unit: the tool did not move
+FAR = 0.1  # distance [m or rad] from the nominal robot above which the measurement frame is a different frame
+MILLIMETRES = 30.0  # length ratio above which a wrong unit is more likely than a deviating arm
+STILL = 1e-4  # length ratio below which the tool did not move, rather than a wrong unit
 
 S = TypeVar("S")
 Value = TypeVar("Value")
 
 
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
-    """Return the arm, moved to the measurement frame, and the initial guess of several unknown tool points (K, 3)."""
+    """Return the arm, moved to the measurement frame, and an initial guess of the unknown tool points (K, 3)."""
     by_name = {kind.name: kind for kind in kinds}
     T = arm.move(arm.first())[:, -1]
     points = np.zeros((0, 3))
@@ -70,18 +70,18 @@ def check_scale(nominal: float, measured: float, what: str) -> None:
     if measured > MILLIMETRES * nominal > 0:
         raise ShapeError(
             f"Expected {what} in metres, got values {measured / nominal:.3g} times as large as those of the nominal "
-            "robot. The values seem to be millimetres: divide them by 1000."
+            "robot. The values seem to be in millimetres: divide them by 1000."
         )
     if nominal > MILLIMETRES * measured > STILL * nominal:
         raise ShapeError(
             f"Expected {what} and the robot in metres, got values {measured / nominal:.3g} times as large as those of "
-            "the nominal robot. The description of the robot, or the initial guess of a fixed point, seems to be in "
+            "the nominal robot. The robot description, or the initial guess of a fixed point, seems to be in "
             "millimetres."
         )
 
 
 def size_of(points: np.ndarray) -> float:
-    """Return the root mean square distance of points (..., 3) from their mean."""
+    """Return the RMS distance of points (..., 3) from their mean."""
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))) if len(points) else 0.0
 
 
@@ -133,7 +133,7 @@ def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _points(T: np.ndarray, kind: Kind | None) -> np.ndarray:
-    """Return the tool points (K, 3), given nominal poses of the tool."""
+    """Return the tool points (K, 3), given nominal tool poses."""
     if kind is None or kind.values.shape[1] == 1:
         return np.zeros((0, 3))
     points = np.zeros((kind.values.shape[1], 3))
@@ -187,7 +187,7 @@ class KinematicEstimation(ABC, Generic[S]):
 
     @abstractmethod
     def nature(self, state: S) -> list[UnobservableDirection]:
-        """Return the directions that these kinds of measurement never determine."""
+        """Return the directions that measurements of these kinds never determine."""
 
     @abstractmethod
     def candidates(self, state: S) -> list[UnobservableDirection]:
@@ -199,10 +199,10 @@ class KinematicEstimation(ABC, Generic[S]):
 
     @abstractmethod
     def rigid(self) -> np.ndarray:
-        """Return the mask (d,) of non-kinematic unknowns: bases, tools, points."""
+        """Return the mask (d,) of unknowns other than links and joint errors: bases, tools, points."""
 
     def solve(self, robust: bool) -> NonlinearSolution[S]:
-        """Return the solution; the error of a failed descent names an unidentifiable direction, if any."""
+        """Return the solution; if the descent fails, the error names an unidentifiable direction, if any."""
         problem, start = self.problem, self.start
         self._check_count(start)
         task = NonlinearProblem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
@@ -223,7 +223,7 @@ class KinematicEstimation(ABC, Generic[S]):
         if 2 * out > len(seen):
             raise NotConverged(
                 f"Expected most samples to fit one arm, got {out} outliers among {len(seen)}. Check the units, the "
-                "joint order, and the pairing of samples and joint positions; the given noise may be too small.",
+                "joint order, the pairing of samples and joint positions, and whether the given noise is too small.",
                 best=found.value,
                 history=found.history,
                 reason="mismatch",
@@ -242,16 +242,16 @@ class KinematicEstimation(ABC, Generic[S]):
         needed += any(kind.cov is None for kind in problem.kinds)
         if got < needed:
             raise NotExcited(
-                f"Expected at least {needed} numbers to determine the arm, got {got}. Measure at least "
+                f"Expected at least {needed} values to determine the arm, got {got}. Measure at least "
                 f"{-(-needed // each)} samples, preferably twice as many.",
                 ["everything"],
-                [f"{got} of {needed} numbers"],
+                [f"{got} of {needed} values"],
             )
 
     def result(
         self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
     ) -> Fit[Value]:
-        """Return the fit at a state equivalent to the solution; `value` is a function of the state and covariance."""
+        """Return the fit at a state equivalent to the solution; `value` is a function of state and covariance."""
         problem, used = self.problem, self.used
         outside = np.flatnonzero(found.outliers)
         data = problem.measurements(state, local=True)
@@ -289,7 +289,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
-        """Return the excitation at a state; raise an error for weak directions unless a prior holds them."""
+        """Return the excitation at a state; weak directions raise an error unless a prior holds them."""
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
@@ -302,7 +302,7 @@ class KinematicEstimation(ABC, Generic[S]):
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def _accuracy(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[str]:
-        """Return lines with the RMS residuals before the fit, after the fit, and of held-out samples."""
+        """Return report lines with the RMS residuals before and after the fit, and of held-out samples."""
         kept = [_kept(one, np.flatnonzero(found.outliers)) for one in data]
         sizes = [_sizes(data, [one.r for one in data], kept)]
         sizes.append(_sizes(data, self._left_out(data, found), kept))
@@ -316,12 +316,12 @@ class KinematicEstimation(ABC, Generic[S]):
             sizes.insert(0, dict.fromkeys(sizes[0], np.nan))
         return [
             f"{name}: {before:.3g} before (nominal links, base and tool fitted), {after:.3g} after, {out:.3g} held out "
-            "(each sample in turn)"
+            "(leave-one-out)"
             for name, before, after, out in ((name, *(one[name] for one in sizes)) for name in sizes[0])
         ]
 
     def _left_out(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[np.ndarray]:
-        """Return the residuals of each sample from a fit to the other samples, ``(1 - U U^T)^-1 r`` to first order."""
+        """Return the leave-one-out residuals of each sample, ``(1 - U U^T)^-1 r`` to first order."""
         sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
         R = np.linalg.qr(found.rows.J, mode="r")
         _, singular, V = np.linalg.svd(R)
@@ -351,7 +351,7 @@ class KinematicEstimation(ABC, Generic[S]):
             sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
             raise NotConverged(
                 f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS). Such residuals leave "
-                "directions undetermined that an instrument accuracy of 1 mm would determine. Detect outliers with "
+                "directions undetermined that an instrument accurate to 1 mm would determine. Detect outliers with "
                 "robust=True, and check the joint order and the pairing of samples and joint positions.",
                 best=found.value,
                 reason="mismatch",
@@ -403,7 +403,7 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
 
 
 def spread_of(points: np.ndarray) -> float:
-    """Return the root mean square distance of points (N, 3) from their mean; 0 if it is within rounding error."""
+    """Return the RMS distance of points (N, 3) from their mean; 0 if it is within rounding error."""
     spread = size_of(points)
     return spread if spread > ROUNDING * float(np.abs(points).max(initial=0.0)) else 0.0
 
@@ -441,7 +441,7 @@ def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.
 
 def check_weak(weak: str) -> None:
     if weak not in WEAK:
-        raise UnknownName.among("way to treat weak directions", weak, WEAK)
+        raise UnknownName.among("treatment of weak directions", weak, WEAK)
 
 
 def length_angle(value: Any, what: str) -> tuple[float, float]:

@@ -73,7 +73,7 @@ def force_sensor(
         unknown_gravity: Also identify the direction of gravity.
         sign: 1 if the sensor measures the weight of its load, -1 if it measures the reaction.
         mass: Known mass of the load [kg].
-        no_bias: Assume readings without bias.
+        no_bias: Assume zero bias.
         noise: Known standard deviations of forces [N] and torques [N m].
         robust: Detect samples with contact and exclude them.
     """
@@ -140,7 +140,7 @@ def laser(
     in the laser plane), and the plate number in the column plane.
 
     Parameters:
-        noise: Known standard deviations of a point [m] and of the angle of a line [rad].
+        noise: Known standard deviations of a point [m] and a line angle [rad].
         robust: Detect outliers among the scans and exclude them.
     """
     import numpy as np

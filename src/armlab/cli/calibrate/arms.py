@@ -51,8 +51,8 @@ def kinematics(
 
     A file contains q1 ... qn and at least one kind of measurement: the pose (as for hand-eye), position1 ...
     position3, distance, or pair_distance. A distance is measured from a fixed point. A pair_distance is measured from
-    the tool position in another sample of the same file; pair_with is the number of that sample, from 0. Leave missing
-    measurements empty.
+    the tool position in another sample of the same file, whose number (from 0) is pair_with. Leave missing measurements
+    empty.
 
     Parameters:
         robot: Library name or robot file of the nominal arm.
@@ -156,8 +156,8 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
     other = pair[paired]
     if not np.all((other >= 0) & (other < len(q)) & (other % 1 == 0)) or np.any(place[other.astype(int)] < 0):
         raise LogError(
-            f"Expected pair_with of {read.path} to contain the number of another sample with joint positions, 0 to "
-            f"{len(q) - 1}, wherever pair_distance has a value, got other numbers. Correct the file."
+            f"Expected pair_with in {read.path} to be the number of another sample with joint positions (0 to "
+            f"{len(q) - 1}) wherever pair_distance has a value, got other numbers. Correct the file."
         )
     pair[paired] = place[other.astype(int)]
     return (*found[:-1], pair)

@@ -56,12 +56,12 @@ def hand_eye(
 ) -> int:
     """Calibrate a camera (hand-eye) from robot poses and marker poses, marker points or images.
 
-    A file contains the poses T_base_tool and T_cam_marker, one sample per row: T_cam_marker_x, _y, _z [m or mm in the
-    header] and the rotation as _qw, _qx, _qy, _qz, as the rotation vector _rx, _ry, _rz of OpenCV and UR, or as _roll,
-    _pitch, _yaw [rad or deg], R = Rz(yaw) Ry(pitch) Rx(roll). A pose may also be a matrix, with the columns
-    T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). Map other column
-    names with --columns, for example T_base_tool:rotvec=actual_TCP_pose_{0..5}. The form rotvec may be replaced by
-    wxyz, xyzw, rpy, euler_zyx, euler_xyz, euler_zyz or matrix; append _deg for degrees.
+    A file contains the poses T_base_tool and T_cam_marker, one sample per row. The position is T_cam_marker_x, _y, _z
+    [m or mm in the header]. The rotation is _qw, _qx, _qy, _qz, or the rotation vector _rx, _ry, _rz of OpenCV and UR,
+    or _roll, _pitch, _yaw [rad or deg] with R = Rz(yaw) Ry(pitch) Rx(roll). A pose may also be a matrix, with the
+    columns T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). Map other
+    column names with --columns, for example T_base_tool:rotvec=actual_TCP_pose_{0..5}. Other rotation formats are wxyz,
+    xyzw, rpy, euler_zyx, euler_xyz, euler_zyz and matrix; append _deg for degrees.
 
     Instead of T_cam_marker, a file may contain the marker points in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x
     ...; in a MAT file, the array p_cam (N, K, 3). Leave hidden points empty.
@@ -76,8 +76,8 @@ def hand_eye(
             apriltag:36h11:0.05 or aruco:4X4_50:0.05 (family, side length of a tag).
         intrinsics: YAML or JSON file from OpenCV or ROS, with camera_matrix and distortion_coefficients. Default:
             calibrated from the images.
-        join: For two synchronised files with a column t, one with T_base_tool or q and one with T_cam_marker: use the
-            nearest or the interpolated robot pose at each camera time.
+        join: For two synchronised files with a time column t (one with T_base_tool or q, one with T_cam_marker): use
+            the nearest or the interpolated robot pose at each camera time.
         max_gap: With --join: largest time difference to a robot pose, such as 20ms; default: three sample periods.
         robot_topic: Topic of the robot poses in a ROS bag: /tf:base->tool0, or a topic with poses.
         camera_topic: Topic of the marker poses in a ROS bag: /tf:camera->marker, or a topic with poses.
@@ -131,13 +131,13 @@ def _check_options(
     camera_topic: Any, noise: Any,
 ) -> None:  # fmt: skip
     if (images is None) != (board is None):
-        raise ConfigError("Expected --images FOLDER and --board BOARD together, got only one of them. Give both.")
+        raise ConfigError("Expected --images FOLDER and --board BOARD together, got only one of them. Pass both.")
     if images is None and intrinsics is not None:
         raise ConfigError(
             "Expected --intrinsics only with --images, got no --images. Omit --intrinsics, or add --images and --board."
         )
     if (robot_topic is None) != (camera_topic is None):
-        raise ConfigError("Expected --robot-topic and --camera-topic together, got only one of them. Give both.")
+        raise ConfigError("Expected --robot-topic and --camera-topic together, got only one of them. Pass both.")
     if images is not None and (join or robot_topic or noise):
         raise ConfigError(
             "Expected --images without --join, topics or --noise, got --images with at least one of these options. "
@@ -188,9 +188,9 @@ def _pictures(folder: Path, names: Sequence[str], path: Path) -> dict[str, np.nd
     missing = [name for name in names if Path(name).name not in there]
     if twice or missing:
         what = f"{twice[0]} twice" if twice else f"{len(missing)} missing images, first {missing[0]}"
-        raise LogError(f"Expected the names of images in {folder} in the column image of {path}, got {what}.")
+        raise LogError(f"Expected image names from {folder} in the column image of {path}, got {what}.")
     if rest := sorted(there - {Path(name).name for name in names}):
-        note(f"{len(rest)} images of {folder} are not listed in {path.name} and are ignored: {', '.join(rest[:3])}")
+        note(f"{len(rest)} images in {folder} are not listed in {path.name} and are ignored: {', '.join(rest[:3])}")
     cv2, found = opencv(), {}
     for name in names:
         found[name] = cv2.imread(str(folder / Path(name).name), cv2.IMREAD_GRAYSCALE)
@@ -225,7 +225,7 @@ def camera_in(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | None) -> Samples:
-    """Return the samples of the camera with the robot poses at the same times."""
+    """Return the camera samples with the robot poses at the same times."""
     camera = [one for one in read if "T_cam_marker" in one or "p_cam" in one]
     arm = [one for one in read if one not in camera]
     if len(camera) != 1 or len(arm) != 1:
@@ -243,7 +243,7 @@ def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | 
 
 
 def at_times(T: np.ndarray, t: np.ndarray, times: np.ndarray, join: Join, gap: float | None, what: str) -> np.ndarray:
-    """Return the nearest or interpolated poses (M, 4, 4) at other times; NaN beyond the largest time difference."""
+    """Return the nearest or interpolated poses (M, 4, 4) at `times`; NaN if no pose is near enough in time."""
     import numpy as np
 
     from armlab.log.column import pose_between

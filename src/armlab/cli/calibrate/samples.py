@@ -1,4 +1,4 @@
-"""Calibration samples from CSV, MAT or MCAP files, the fit to all of them, and its report."""
+"""Calibration samples from CSV, MAT or MCAP files, their joint fit, and its report."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP files; several files are joined.")]
 Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
 ArmOfPoses = Annotated[str | None, Parameter(help="Library name or file of the arm, to compute T_base_tool from q.")]
-_QUATERNION_LENGTH = 1e-3  # largest deviation of a norm from 1
+_QUATERNION_LENGTH = 1e-3  # maximum deviation of a norm from 1
 _CLOCKS = ("t", "time")
 _UNITS = {r"force\d*": "N", r"acc\d*": "m/s^2", r"(position|(pair_)?distance)\d*": "m", r"\w+_[xyz]": "m"}
 _TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # components of a quantity, which share a unit
@@ -42,7 +42,7 @@ class Samples:
 
     path: Path
     values: Mapping[str, np.ndarray]  # arrays (N, ...) by name
-    source: str  # name of the file and its SHA-256
+    source: str  # file name and SHA-256
     units: Mapping[str, str] = field(default_factory=dict)  # units in the file by name
     start: float = 0.0  # s, time of the file's clock at t = 0
 
@@ -52,7 +52,7 @@ class Samples:
 
     @property
     def clock(self) -> np.ndarray:
-        """Times (N,) on the clock of the file [s]."""
+        """Times (N,) on the file's clock [s]."""
         return self.numbers("t") + self.start
 
     def numbers(self, name: str) -> np.ndarray:
@@ -75,7 +75,7 @@ class Samples:
             array = array.T
         if array.ndim != 2 or (sizes and array.shape[1] not in sizes):
             words = " or ".join(f"(N, {k})" for k in sizes) or "(N, k)"
-            raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Give another column.")
+            raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Pass another column.")
         return array
 
     def points(self, name: str) -> np.ndarray:
@@ -133,7 +133,7 @@ class Samples:
 
 
 def read_pair(paths: Sequence[Path], columns: str | None) -> list[Samples]:
-    """Return the columns of a robot's and a camera's file; `columns` maps the names in both files."""
+    """Return the columns of a robot file and a camera file; `columns` maps the names in both files."""
     from armlab.log.file_formats.column_names import ColumnNames
 
     if columns is None:
@@ -189,7 +189,7 @@ def read_samples(path: Path, columns: str | ColumnNames | None = None) -> Sample
     return Samples(path, values, source, units, table.t0_ns * 1e-9)
 
 
-_ROTATIONS = {  # suffixes of the columns of a rotation -> format
+_ROTATIONS = {  # column suffixes of a rotation -> format
     ("qw", "qx", "qy", "qz"): "wxyz",
     ("rx", "ry", "rz"): "rotvec",
     ("roll", "pitch", "yaw"): "rpy",
@@ -199,7 +199,7 @@ _NUMBERS_OF["matrix"] = 13  # 16 with the position
 
 
 def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
-    """Return poses (N, 4, 4) from rows of position [m] and rotation in one of these forms; empty rows are NaN.
+    """Return poses (N, 4, 4) from rows of position [m] and rotation in the given format; empty rows give NaN.
 
     wxyz, xyzw: quaternion. rotvec: rotation vector, as in OpenCV and UR. rpy: roll, pitch, yaw with R = Rz(yaw)
     Ry(pitch) Rx(roll), as in ROS and URDF. euler_zyx: angles a, b, c with R = Rz(a) Ry(b) Rx(c); euler_xyz and
@@ -239,7 +239,7 @@ def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
 
 
 def _check_units(path: Path, labels: Sequence[str]) -> None:
-    """Refuse a quantity with units for only some components, which would be read in different units."""
+    """Reject a quantity with units for only some components: these would be read in different units."""
     groups: dict[str, set[bool]] = {}
     for label in labels:
         found = _TOGETHER.match(label.split("[")[0].strip())
@@ -260,7 +260,7 @@ def _readings(array: np.ndarray) -> list[np.ndarray]:
     if array.ndim == 3:
         found = [array] if array.shape[1:] == (4, 4) else []
         last = np.moveaxis(array, -1, 0)
-        return [*found, last, np.swapaxes(last, 1, 2)] if array.shape[:2] == (4, 4) else found  # foreign HDF5
+        return [*found, last, np.swapaxes(last, 1, 2)] if array.shape[:2] == (4, 4) else found  # other programs' HDF5
     if array.ndim == 2 and array.shape[1] == 16:
         rows = array.reshape(-1, 4, 4)
         return [rows, np.swapaxes(rows, 1, 2)]
@@ -279,10 +279,10 @@ def run_fit(
     sources: Sequence[str] = (),
     corrected: Callable[[Any], Mapping[Path, Robot]] = lambda fit: {},
 ) -> int:
-    """Read sample files, fit all of them together, write the requested output, and return the exit code.
+    """Read sample files, fit them jointly, write the requested output, and return the exit code.
 
-    `parts` extracts arrays of equal length from a file; `fit` receives these arrays, joined over the files. `corrected`
-    returns the corrected arms of a fit, keyed by output file.
+    `parts` extracts arrays of equal length from a file; `fit` receives these arrays, concatenated over all files.
+    `corrected` returns the corrected arms of a fit, keyed by output file.
     """
     wanted.check(wanted.output, (".toml",))
     if not files:
@@ -352,7 +352,7 @@ def measured_rows(
 
 
 def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarray) -> None:
-    """Refuse incomplete poses or vectors, and report the first such row in the file; single points may be missing."""
+    """Reject incomplete poses or vectors, and report the first such row; individual points may be missing."""
     import numpy as np
 
     for part in needed:
@@ -385,17 +385,17 @@ def _first_times(
     for part in flat[len(needed) if some else 1 :]:
         held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))
         if held and part.shape[1] >= 3:
-            note(f"{held} rows of {name} repeat the previous measurement; they may be values held by the sensor")
+            note(f"{held} rows of {name} repeat the previous measurement; the sensor may have held its value")
     return first
 
 
 def noise_of(values: Sequence[float] | None) -> Any:
-    """Return the standard deviations in the form that the fits accept: None, a number, or a tuple."""
+    """Return the standard deviations as accepted by the fits: None, a number, or a tuple."""
     return None if values is None else values[0] if len(values) == 1 else tuple(values)
 
 
 def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
-    """Return the poses T_base_tool (N, 4, 4) in the file, or computed from the joint positions of the given robot."""
+    """Return T_base_tool (N, 4, 4) from the file, or computed from the joint positions of the given robot."""
     if robot is None:
         return read.poses("T_base_tool")
     import numpy as np
@@ -405,15 +405,15 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     far = np.nanmax(np.abs(q[:, ~arm.prismatic]), initial=0.0)
     if far > _DEGREES:
         raise LogError(
-            f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}. These seem to be degrees: write "
-            "the unit into the header, such as q1 [deg]."
+            f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}, probably in degrees. Write the "
+            "unit in the header, such as q1 [deg]."
         )
     return armlab.kinematics.forward(arm, q)
 
 
-_MANY = 0.3  # largest plausible share of outliers
-_FEW = 1.5  # smallest number of measurements per parameter
-_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # largest plausible standard deviations of sensor noise
+_MANY = 0.3  # maximum plausible fraction of outliers
+_FEW = 1.5  # minimum number of measurements per parameter
+_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # maximum plausible standard deviations of sensor noise
 
 
 @Parameter(name="*")
@@ -469,15 +469,15 @@ def judge(fit: Fit[Any]) -> Verdict:
             f"A prior fixes directions that the samples do not identify: {'; '.join(fit.excitation.held)}."
         )
     if left > _MANY * total:
-        found.bad.append(f"{left} of {total} samples were excluded as outliers: too many.")
-        found.ahead.append("Check the pairing, clocks and units before you use the result.")
+        found.bad.append(f"{left} of {total} samples were excluded as outliers, which is too many.")
+        found.ahead.append("Check the pairing, clocks and units before using the result.")
     elif left:
         found.ahead.append(f"Inspect the {left} excluded samples.")
     found.bad.extend(f"{line[:1].upper()}{line[1:]}" for line in fit.doubts)
     for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
         if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
             found.bad.append(
-                f"The noise of {name}, {sigma:.2g}, is too large for a sensor, so some samples are probably wrong."
+                f"The noise of {name} is {sigma:.2g}, which is too large for a sensor. Some samples are probably wrong."
             )
             found.ahead.append("Find outliers with --robust, and check the pairing, units and frames.")
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):

@@ -45,7 +45,7 @@ def fit(
 ) -> int:
     """Fit a movement primitive to one or several demonstrations in logs, and save it.
 
-    The standstill before and after the motion is skipped. Prints the RMS error between the primitive and the
+    Standstill before and after the motion is skipped. Prints the RMS error between the primitive and the
     demonstrations.
 
     Parameters:
@@ -123,7 +123,7 @@ def play(
         amplitude: Amplitude factor of a periodic motion.
         turns: Number of periods of a periodic motion; default: 4.
         speed: Fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
-        firm: Do not wait for a held arm: send the path open loop.
+        firm: Do not wait for a held arm; send the path open-loop.
         log: Log file of the motion; if it exists, -2, -3, ... is appended. Default: dmp.mcap in the log folder.
         force: Replace an existing --output file, and allow a joint-space primitive taught on another robot.
     """

@@ -59,7 +59,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
     """Return the primitive with its via-points, and the remaining options of its run.
 
     A distribution over motions is replaced by a primitive for its mean, conditioned on start, goal and via-points.
-    `given` contains the value of each option, or None; via-points are texts "TIME:Y,Y,...".
+    `given` contains the value of each option, or None; via-points are strings "TIME:Y,Y,...".
     """
     kind = getattr(primitive, "KIND", type(primitive).__name__)
     if kind not in OPTIONS:
@@ -95,7 +95,7 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
         dmp = primitive.dmp if isinstance(primitive, armlab.motion.TwoDofDmp) else primitive
         found = dmp.rollout(DT, duration=run.get("duration"), y0=run.get("start"), g=run.get("goal"))
     names = {"y": found.y, "yd": found.yd, "ydd": found.ydd}
-    return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m: the primitive has no unit
+    return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m: primitives have no unit
 
 
 @as_given()
@@ -176,7 +176,7 @@ def _point(word: str) -> tuple[float, np.ndarray]:
 
 
 def _mean(promp: ProMP, points: Sequence[tuple[float, np.ndarray]], run: Mapping[str, Any], fit: Any) -> Dmp:
-    """Return a primitive for the mean motion through start, goal and via-points, in the given duration."""
+    """Return a primitive for the mean motion through start, goal and via-points, with the given duration."""
     ends = [(when, run[name]) for name, when in (("start", 0.0), ("goal", promp.duration)) if name in run]
     for when, y in (*points, *ends):
         promp = promp.condition(when, y)

@@ -53,11 +53,11 @@ class MotionWindow:
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
-                raise ConfigError(f"Expected --{name} to be a time of the log [s], got {value:g}.")
+                raise ConfigError(f"Expected --{name} to be a time in the log [s], got {value:g}.")
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options with a value; refuse options that the kind of primitive does not have."""
+    """Return the options with a value; reject options that do not apply to this kind of primitive."""
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}

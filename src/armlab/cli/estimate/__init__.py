@@ -62,16 +62,16 @@ def estimate(
     """Estimate the contact force in a log with a torque model.
 
     For each axis, prints the range, the mean 2-sigma band, the observability and, with --method interval, the limits.
-    For each contact, prints the mean force and the possible location. A verdict then reports gaps and skipped rows. The
-    estimated force is exerted by the environment on the robot; it is in base axes, at the tool point.
+    For each contact, prints the mean force and the possible location. A verdict then reports gaps and skipped rows.
+    Forces are exerted by the environment on the robot, in base axes at the tool point.
 
     Parameters:
-        robot: Library name or robot file of the robot of the model.
+        robot: Library name or robot file of the modelled robot.
         log: Recording of this robot with positions, velocities and torques.
         model: Model file written by `armlab identify`.
         method: map: most probable force, for continuous motion. bounded: no contact unless proven, for an arm that also
-            stops. interval: like bounded, with guaranteed limits. kf, observer: momentum methods, without acceleration.
-            ls, lund, clip, ols: for comparison.
+            stops. interval: like bounded, with guaranteed limits. kf, observer: momentum methods, which need no
+            acceleration. ls, lund, clip, ols: for comparison.
         force_rate: With method kf: expected rate of change of the force.
         bias: With method kf: estimate a friction error per joint, reset after each stop.
         tare: Initial time during which the arm is at rest without contact [s]. The friction identified during this time
@@ -147,7 +147,7 @@ def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: V
 
 
 def _check(table: Table, log: Path) -> None:
-    """Refuse a log without usable rows; report the number of unusable rows."""
+    """Reject a log without usable rows; otherwise, report the number of unusable rows."""
     import numpy as np
 
     from armlab.cli.support.log_input import left_out
@@ -162,4 +162,4 @@ def _check(table: Table, log: Path) -> None:
         )
         raise LogError(f"Expected rows with finite q, qd and tau in {log}, got none in {len(table)} rows. {advice}")
     if invalid:
-        note(f"{invalid} of {len(table)} rows are not finite and have no estimate")
+        note(f"{invalid} of {len(table)} rows have non-finite values and no estimate")

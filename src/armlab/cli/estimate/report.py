@@ -42,7 +42,7 @@ def axes(table: Table) -> list[dict[str, float | str]]:
 
 
 def _limits(table: Table, axis: int) -> dict[str, float]:
-    """Return the median limits of an axis, and the share of rows in which the limits exclude zero."""
+    """Return the median limits of an axis, and the fraction of rows in which the limits exclude zero."""
     if "wrench_interval" not in table:
         return {}
     low, high = table["wrench_interval"][:, axis].T
@@ -64,7 +64,7 @@ def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
 def rows(table: Table) -> list[tuple[str, ...]]:
     words = {"min": "min", "max": "max", "rms": "rms", "two_sigma": "2-sigma", "observability": "observability"}
     if "wrench_interval" in table:
-        words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "share beyond zero"}
+        words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "fraction beyond zero"}
     lines = ((str(axis["axis"]), *(f"{axis[key]:.2f}" for key in words)) for axis in axes(table))
     return [("axis", *words.values()), *lines]
 
@@ -88,7 +88,7 @@ def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tup
 
 
 def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
-    """Return the rows of the table of contacts, header first; forces include the limits of the method "interval"."""
+    """Return the rows of the contact table, header first; forces include the limits of the method "interval"."""
     found: list[tuple[str, ...]] = [
         ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "possible location")
     ]
@@ -101,8 +101,8 @@ def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses
 
 SEEN, WEAK = 0.9, 0.5  # observability
 SLOW = 0.01  # rad/s, largest joint speed at rest
-OFTEN = 0.05  # smallest share of rows that is reported
-HONEST = 0.90  # smallest share of errors inside 2 sigma
+OFTEN = 0.05  # minimum fraction of rows that is reported
+HONEST = 0.90  # minimum fraction of errors inside 2 sigma
 NAMED = 3  # number of longest gaps that are listed
 
 
@@ -155,7 +155,7 @@ def _whole(found: Verdict, table: Table) -> None:
         t = table.t[(table["wrench_flags"] & armlab.contact.INVALID) > 0]
         found.bad.append(
             f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
-            "are not finite and have no estimate."
+            "have non-finite values and no estimate."
         )
     if holes := gaps(table):
         longest = sorted(sorted(holes, key=lambda gap: -gap[1])[:NAMED])
@@ -178,7 +178,7 @@ def _flags(found: Verdict, table: Table) -> None:
         found.ahead.append("For such poses, choose a method with a prior (map, bounded).")
     if share[STUCK] > OFTEN:
         found.bad.append(
-            f"In {100 * share[STUCK]:.0f} % of the rows every joint torque is within its friction bound, which may "
+            f"In {100 * share[STUCK]:.0f} % of the rows, every joint torque is within its friction bound, which may "
             "mask a force."
         )
         found.ahead.append(
@@ -189,7 +189,7 @@ def _flags(found: Verdict, table: Table) -> None:
         )
     if share[INFEASIBLE]:
         found.bad.append(
-            f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: the contact "
+            f"In {100 * share[INFEASIBLE]:.1f} % of the rows, no wrench at the tool explains the torques: the contact "
             "is on another link, or the model is wrong."
         )
 
@@ -228,7 +228,7 @@ def page(
         "1 if determined by the torques, 0 if determined by the prior."
     )
     if "wrench_interval" in table:
-        words += " Limits: medians over all rows, and the share of rows in which the limits exclude zero."
+        words += " Limits: medians over all rows, and the fraction of rows in which the limits exclude zero."
     page.section("Per axis", words)
     page.table(rows(table))
     page.section("Contacts", "" if contacts else "None: the force never exceeds the level of free motion.")
@@ -268,7 +268,7 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
-            "Share of errors per axis inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
+            "Fraction of errors per axis inside two sigma: 95.4 % at every speed if the uncertainty is calibrated.",
             lambda: armlab.plots.coverage(table),
         )
         shown.insert(-1, coverage)

@@ -36,14 +36,14 @@ def identify(
     """Identify gravity, inertia and friction from logs; save the model.
 
     Prints a table per joint, and a verdict with advice for the next log. A poor model is saved only with --force;
-    otherwise the command ends with status 3. If the logs do not determine the model, the status is 1.
+    otherwise the exit status is 3. If the logs do not determine the model, the exit status is 1.
 
     Parameters:
         robot: Name in the library, or a robot file.
         logs: Recordings of free motion without contact, with positions, velocities and torques, for example from armlab
             excite.
         output: Model file to write, .toml.
-        method: irls: robust (iteratively reweighted least squares). lts: robust (least trimmed squares, ignores the
+        method: irls: robust (iteratively reweighted least squares). lts: robust (least trimmed squares, ignoring the
             worst quarter of the segments). wls, ols: not robust, with or without a weight per joint.
         gravity_only: Identify only gravity and friction, from a log of slow motion (accelerations below 1 rad/s^2). Use
             this for an arm that must not move fast; the model is sufficient for contact forces in slow motion. Default:
@@ -88,7 +88,7 @@ def identify(
 
 
 def _with_drives(fit: Fit[TorqueModel], tables: Sequence[Table]) -> Fit[TorqueModel]:
-    """Return the fit with the drive terms that improve it; if identification fails, add the reason to the doubts."""
+    """Return the fit with the drive terms that improve it; if identification fails, add the reason to `doubts`."""
     try:
         return replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
     except (NotExcited, ShapeError) as error:

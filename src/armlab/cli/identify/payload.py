@@ -1,4 +1,4 @@
-"""``armlab payload``: identify a payload from a log and the model of the arm without it."""
+"""``armlab payload``: identify a payload from a log and a model of the unloaded arm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from armlab.models import Payload, TorqueModel
     from armlab.robots import Robot
 
-LARGEST = 0.1  # largest relative standard deviation of the mass
+LARGEST = 0.1  # maximum relative standard deviation of the mass
 LEAST = 3.0  # smallest mass, in standard deviations
 
 
@@ -40,10 +40,10 @@ def payload(
     Prints all quantities with their standard deviations, in flange axes.
 
     Parameters:
-        robot: Library name or robot file of the robot of the model.
+        robot: Library name or robot file of the modelled robot.
         log: Recording of positions, velocities and torques, with the load and without contact.
         model: Model file written by `armlab identify` for the arm without the load.
-        without: Recording of the same motion without the load, which cancels model errors.
+        without: Recording of the same motion without the load, to cancel model errors.
         mode: static: mass and centre of mass. dynamic: also inertia, which needs fast motion of the wrist.
         gain: Relative standard deviation of the torque constants.
         output: Also save the payload to this .toml file.
@@ -54,7 +54,7 @@ def payload(
     wanted.check(output, (".toml",))
     arm = load_robot(robot)
     known = model_for(model, arm, wanted.force)
-    # with its fit, the model includes the uncertainty of friction
+    # if saved as a fit, the model includes the uncertainty of friction
     told = replace(armlab.estimation.Fit.load(model), value=known) if load_statistics(model) else known
     table = read_log(log, arm, wanted.force, columns, fit=True)
     empty = None if without is None else read_log(without, arm, wanted.force, columns, fit=True)
@@ -96,14 +96,12 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     left = np.std(fit.residuals, axis=0) / np.std(table["tau"][:, joints], axis=0)
     if left.max() <= POOR:
         found.good.append(
-            f"Arm and load together explain {100 * (1 - left.max() ** 2):.1f} % of the torque variance or more."
+            f"Arm and load together explain at least {100 * (1 - left.max() ** 2):.1f} % of the torque variance."
         )
     else:
         worst = arm.joint_names[joints[left.argmax()]]
         found.bad.append(f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque SD unexplained.")
-        found.ahead.append(
-            "Check the torques in the log, and check that the model belongs to this arm with its current tool."
-        )
+        found.ahead.append("Check the torques in the log and that the model is of this arm with its current tool.")
     found.bad += fit.doubts
     found.ahead += armlab.identify.extrapolation(model, table).warnings
     found.ahead.append(

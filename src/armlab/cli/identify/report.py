@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 FINE, POOR = 0.10, 0.25  # residual relative to the torque standard deviation
-HONEST = (0.92, 0.985)  # share of values inside 2 sigma
+HONEST = (0.92, 0.985)  # fraction of values inside 2 sigma
 WORSE = 1.5  # held-out residual relative to the training residual
 STRETCHED = 3.0  # covariance scale alpha
-SLOW, SLOW_SHARE = 0.1, 0.15  # fraction of the speed limit, and required share of samples below it
+SLOW, SLOW_SHARE = 0.1, 0.15  # fraction of the speed limit, and required fraction of samples below it
 NARROW = 0.25  # fraction of a joint's range
 MOVING = 0.01  # fraction of the peak speed
 _FRICTION = {  # names of the identified parameters by field of `models.friction.Friction`
@@ -40,7 +40,7 @@ class ModelTrial:
     log: Table
     share: np.ndarray  # (n,) RMS torque error in motion, relative to the torque standard deviation
     force_rms: np.ndarray  # (3,) RMS false force in motion [N]
-    coverage: float  # share of forces inside 2 sigma
+    coverage: float  # fraction of forces inside 2 sigma
 
 
 def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> ModelTrial:
@@ -143,7 +143,7 @@ def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> Non
         ends = {model.momentum.alpha2_observer, model.momentum.alpha2_kf} & {*ALPHA2_BOUNDS}
         if ends:
             found.bad.append(f"The covariance scale of a momentum method is at its bound {max(ends):g}.")
-    sentence = f"Without contact the estimated force in the {where} is {force} N RMS in x, y, z instead of zero"
+    sentence = f"Without contact, the estimated force in the {where} is {force} N RMS in x, y, z instead of zero"
     inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
     (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
     friction = model.friction
@@ -168,7 +168,7 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
     if narrow.any():
         found.ahead.append(
             f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: the model extrapolates "
-            "outside these ranges. Record motions there before you use the model there."
+            "outside these ranges. Record motions there before using the model there."
         )
     qd = np.concatenate([np.abs(table["qd"]) for table in tables])
     hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
@@ -324,8 +324,8 @@ def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Draw
         ),
         (
             "Coverage by speed",
-            "Share of forces within 2 sigma per speed bin",
-            "A calibrated uncertainty contains 95.4 % at every speed.",
+            "Fraction of forces within 2 sigma per speed bin",
+            "95.4 % at every speed if the uncertainty is well calibrated.",
             lambda: armlab.plots.coverage(estimate),
         ),
     ]

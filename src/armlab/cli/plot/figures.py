@@ -32,7 +32,7 @@ from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
 
 
 def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
-    """Draw columns of a log against time; commanded and sent values are dashed, active limits shaded.
+    """Plot columns of a log against time; commanded and sent values are dashed, and active limits are shaded.
 
     Parameters:
         log: Recording, or any file that `armlab log show` reads.
@@ -44,7 +44,7 @@ def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_
 
 
 def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
-    """Draw the position and rotation vector of the tool against time.
+    """Plot the position and rotation vector of the tool against time.
 
     Parameters:
         log: Recording with poses, or with q if --robot is given.
@@ -64,7 +64,7 @@ def scene(
     frames: float = 0.0,
     figure: LogFigure = OF_LOG,
 ) -> int:
-    """Draw tool paths, measured points, planes and frames in space.
+    """Draw tool paths, measured points, planes and frames in 3D.
 
     Parameters:
         logs: Recordings with poses, or with q if --robot is given. Each log is drawn as a path.
@@ -87,7 +87,7 @@ def scene(
 
 
 def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw histograms of the loop's response time, with missed and late ticks.
+    """Plot histograms of the loop's response time, with missed and late ticks.
 
     Parameters:
         log: Recording of a run.
@@ -102,20 +102,20 @@ def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
 
 
 def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the measured and modelled torque of each joint, and the residual with its 2-sigma band."""
+    """Plot the measured and modelled torque of each joint, and the residual with its 2-sigma band."""
     path = figure.path(log, "torque_fit")
     return figure.save(path, armlab.plots.torque_fit(*figure.with_log(model, log)))
 
 
 def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the friction of each joint against velocity with its uncertainty; the samples of a log are points."""
+    """Plot the friction of each joint against velocity with its uncertainty; log samples are drawn as points."""
     path = figure.path(model, "friction")
     fit = armlab.estimation.Fit.load(model, "torque_model")
     return figure.save(path, armlab.plots.friction(fit, None if log is None else figure.estimate(fit.value, log)))
 
 
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the friction of a joint against position and velocity; ranges without samples in the log are hatched.
+    """Plot the friction of a joint against position and velocity; ranges without samples in the log are hatched.
 
     Parameters:
         joint: Joint number, from 1.
@@ -128,20 +128,20 @@ def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, fig
 
 
 def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the torque residual against cycles per joint revolution, with and without the ripple model."""
+    """Plot the torque residual against cycles per joint revolution, with and without the ripple model."""
     path = figure.path(log, "spectrum")
     known, drawn = chosen_of(model, joints)
     return figure.save(path, armlab.plots.spectrum(known, figure.log_of(known, log), drawn))
 
 
 def velocity_covariance(model: Model, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the standard deviation of the torque error of each joint against its velocity."""
+    """Plot the standard deviation of the torque error of each joint against its velocity."""
     path = figure.path(model, "velocity_covariance")
     return figure.save(path, armlab.plots.velocity_covariance(torque_model(model)))
 
 
 def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
+    """Plot the torque residual against velocity, with the 2-sigma curves of the model."""
     path = figure.path(log, "residual_speed")
     known, drawn = chosen_of(model, joints)
     residuals, covariances = figure.estimate(known, log), {"model": known.covariance}
@@ -149,20 +149,20 @@ def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figu
 
 
 def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the autocorrelation of the torque residual."""
+    """Plot the autocorrelation of the torque residual."""
     path = figure.path(log, "autocorrelation")
     known, drawn = chosen_of(model, joints)
     return figure.save(path, armlab.plots.autocorrelation(figure.estimate(known, log), drawn))
 
 
 def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw the estimated contact wrench with its 2-sigma band; contact intervals are shaded."""
+    """Plot the estimated contact wrench with its 2-sigma band; contact intervals are shaded."""
     path = figure.path(log, "wrench")
     return figure.save(path, armlab.plots.wrench(figure.estimated(log)))
 
 
 def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
-    """Draw the estimated forces of several arms side by side, on the same scale.
+    """Plot the estimated forces of several arms side by side, on the same scale.
 
     Parameters:
         logs: Outputs of `armlab estimate`, or recordings with an estimate; one per arm.
@@ -176,13 +176,13 @@ def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
 
 
 def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw the observability of each wrench axis; intervals with a weak axis are shaded."""
+    """Plot the observability of each wrench axis; intervals with a weak axis are shaded."""
     path = figure.path(log, "observability")
     return figure.save(path, armlab.plots.observability(figure.estimated(log, "observability")))
 
 
 def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the share of wrench errors (with --model: of torque errors) within 2 sigma against speed.
+    """Plot the fraction of wrench errors (with --model: of torque errors) within 2 sigma against speed.
 
     Parameters:
         log: Recording with an estimate and a force sensor; with --model, a recording of free motion.
@@ -203,7 +203,7 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
 def hypotheses(
     model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
-    """Draw the probabilities of the contact hypotheses: no contact, or contact at each location."""
+    """Plot the probabilities of the contact hypotheses: no contact, or contact at each location."""
     path = figure.path(log, "hypotheses")
     known = torque_model(model)
     believed = armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known))
@@ -211,7 +211,7 @@ def hypotheses(
 
 
 def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the uncertainty of a calibration and the excitation of its samples.
+    """Plot the uncertainty of a calibration and the excitation of its samples.
 
     Parameters:
         fit: Result of `armlab calibrate`. The file contains no residuals; to draw residuals, use armlab calibrate
@@ -227,7 +227,7 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
 
 
 def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the singular values of a fit, which show how well its samples determine the parameters.
+    """Plot the singular values of a fit, which show how well its samples determine the parameters.
 
     Parameters:
         fit: Result of `armlab identify` or `armlab calibrate`.
@@ -250,7 +250,7 @@ def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, fig
 
 
 def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the workspace of an arm in a side view, a top view and in space."""
+    """Draw the workspace of an arm in side view, top view and 3D."""
     path = figure.path(robot, "workspace")
     return figure.save(path, armlab.plots.workspace(load_robot(robot)))
 
@@ -278,7 +278,7 @@ def dmp(
     robot: PoseRobot = None,
     figure: FigureFile = BESIDE,
 ) -> int:
-    """Draw a movement primitive of any kind against time, with its demonstrations.
+    """Plot a movement primitive of any kind against time, with its demonstrations.
 
     Parameters:
         demos: Logs of the demonstrations, drawn without standstill; pass several logs for a distribution over motions.
@@ -305,7 +305,7 @@ def dmp(
 
 
 def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the phase plane of a joint-space movement primitive: velocity against position."""
+    """Plot the phase plane of a joint-space movement primitive: velocity against position."""
     path = figure.path(primitive, "dmp_phase")
     return figure.save(path, armlab.plots.dmp_phase(armlab.motion.Dmp.load(primitive)))
 
@@ -320,7 +320,7 @@ def two_dof(
     goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     figure: FigureFile = BESIDE,
 ) -> int:
-    """Draw the response of a movement primitive to a disturbance: arm, path, undisturbed motion and error.
+    """Plot the response of a movement primitive to a disturbance: arm, path, undisturbed motion and error.
 
     Parameters:
         log: Recording made by `armlab dmp play`.

@@ -49,7 +49,7 @@ class FigureFile:
     force: bool = False
 
     def path(self, source: Path | str, name: str) -> Path:
-        """Return the output path of a figure; raise if it cannot be written."""
+        """Return the output path of a figure; raise an error if it is not writable."""
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
@@ -75,7 +75,7 @@ class LogPart:
         start: First time [s]; default: the beginning.
         end: Last time [s]; default: the end.
         arm: Arm to select from a recording of several arms.
-        where: Column names in a file of another program; see armlab log export.
+        where: Column names in a file from another program; see armlab log export.
     """
 
     start: float | None = None
@@ -84,7 +84,7 @@ class LogPart:
     where: Annotated[Columns, Parameter(name="--columns")] = None
 
     def read(self, path: Path, robot: str | None = None, model: TorqueModel | None = None) -> Table:
-        """Return the selected part of a log; refuse a recording of a robot other than the given one or the model's."""
+        """Return the selected part of a log; reject a recording of a robot other than the given or modelled robot."""
         from armlab.cli.support.log_input import check_log
         from armlab.log.topics.reader import is_foreign, read_joints
 
@@ -128,15 +128,15 @@ class LogPart:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class LogFigure(LogPart, FigureFile):
-    """Options of a figure of a log."""
+    """Options of log figures."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ModelFigure(LogFigure):
-    """Options of a figure of a torque model and a log."""
+    """Options of figures that show a torque model with a log."""
 
-    robot: Annotated[str | None, Parameter(help="Robot file if the robot of the model is not in the library.")] = None
+    robot: Annotated[str | None, Parameter(help="Robot file, if the model's robot is not in the library.")] = None
 
     def robot_of(self, model: TorqueModel) -> Robot:
         arm = load_robot(model.robot_name if self.robot is None else self.robot)

@@ -1,4 +1,4 @@
-"""Reports as self-contained HTML files without scripts, which load nothing from the network."""
+"""Reports as self-contained HTML files that contain no scripts and load nothing from the network."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Verdict:
     @property
     def parts(self) -> tuple[tuple[str, list[str]], ...]:
         """Title and sentences of each non-empty part."""
-        named = (("Good", self.good), ("Not good", self.bad), ("Next", self.ahead))
+        named = (("Good", self.good), ("Problems", self.bad), ("Next", self.ahead))
         return tuple((title, sentences) for title, sentences in named if sentences)
 
     def text(self) -> str:

@@ -1,4 +1,4 @@
-"""Input logs of commands: reject logs of another robot, and report implausible data."""
+"""Input logs of commands, with checks for logs of another robot and for implausible data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
 SHORTEST = 100  # rows
 LARGE = 50_000_000  # bytes; reading more takes seconds
-FEW = 0.01  # largest share of rows that a fit may skip
+FEW = 0.01  # maximum fraction of rows that a fit may skip
 LOST = 1.5  # longer steps are gaps [median steps]
 
 
@@ -55,7 +55,7 @@ def read_log(path: Path, robot: Robot, force: bool = False, columns: str | None 
 
 
 def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
-    """Return the table without its incomplete rows if there are only a few; entirely empty rows count as lost."""
+    """Return the table without its incomplete rows if there are only a few; empty rows count as lost."""
     values = np.hstack([table[name] for name in names])
     lost = np.asarray(~np.isfinite(values).all(axis=1))
     some = lost & np.isfinite(values).any(axis=1)
@@ -69,7 +69,7 @@ def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
 
 @contextmanager
 def by_force(force: bool) -> Iterator[None]:
-    """Add advice about --force to a robot mismatch in the block; with `force`, print the mismatch as a note instead."""
+    """Add advice about --force to a robot mismatch raised in the block; with `force`, only print the mismatch."""
     try:
         yield
     except ModelMismatchError as error:
@@ -81,7 +81,7 @@ def by_force(force: bool) -> Iterator[None]:
 
 
 def check_log(path: Path, whose: Robot | TorqueModel, force: bool = False) -> None:
-    """Refuse a recording made with a different robot description; only MCAP files name their robot."""
+    """Reject a recording made with a different robot description; only MCAP files name their robot."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import check_recorded, described
     from armlab.robots import Robot
@@ -104,7 +104,7 @@ def _recorded(held: Inspection) -> dict[str, str]:
     return {pairs["robot"]: pairs.get("robot_hash", "") for pairs in held.metadata.values() if pairs.get("robot")}
 
 
-_TAUGHT = "taught on "  # robot and hash, in the sources of a primitive of joints
+_TAUGHT = "taught on "  # followed by robot and hash, in the sources of a joint-space primitive
 
 
 def taught_on(path: Path, robot: Robot | None) -> tuple[str, ...]:
@@ -120,7 +120,7 @@ def taught_on(path: Path, robot: Robot | None) -> tuple[str, ...]:
 
 
 def check_taught(path: Path, robot: Robot, force: bool = False) -> None:
-    """Refuse a joint-space primitive that was taught on another robot description."""
+    """Reject a joint-space primitive taught on an arm with another description."""
     from armlab.models.files import sources_of
     from armlab.robots.comparison import check_same
 
@@ -134,7 +134,7 @@ def check_taught(path: Path, robot: Robot, force: bool = False) -> None:
 
 
 def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
-    """Return the torque model in a file; refuse a model of another robot description, or adapt it with `force`."""
+    """Return the torque model in a file; reject (with `force`: adapt) a model with another robot description."""
     model: TorqueModel = armlab.models.load(path, "torque_model")
     with by_force(force):
         model.check_robot(robot)
@@ -177,7 +177,7 @@ def gaps(table: Table) -> list[tuple[float, float]]:
 
 
 def left_out(table: Table) -> int:
-    """Return the number of rows that are not finite and have no estimate."""
+    """Return the number of rows without an estimate because of non-finite values."""
     return int(np.count_nonzero(table["wrench_flags"] & armlab.contact.INVALID))
 
 

@@ -30,7 +30,7 @@ Columns = Annotated[
         "t=1,q={2..7}. Presets: ur, franka, ros, abb, abb7."
     ),
 ]
-# equal to contact.Method, whose import is too slow for the help
+# a copy of contact.Method, which is too slow to import for --help
 ForceMethod = Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund", "ols"]
 Cell = Annotated[str, Parameter(help="Name of the cell; required if several cells are running.")]
 

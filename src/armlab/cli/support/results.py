@@ -29,8 +29,8 @@ class Results:
         report: Also write a self-contained .html page with tables and figures, which loads nothing from the network.
         figure: Also draw the result to this PNG, SVG or PDF file.
         json: Print JSON for scripts.
-        force: Replace existing files, save a poor result, and accept a recording or model that was made with another
-            description of the arm. With `identify`: also accept implausible torques.
+        force: Replace existing files, save a poor result, and accept a recording or model made with another description
+            of the arm. With `identify`: also accept implausible torques.
     """
 
     report: Path | None = None

@@ -59,7 +59,7 @@ class LoadedSettings:
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
-    """Return the effective settings in this folder; default: with the environment of the process."""
+    """Return the effective settings in this folder; `environment` defaults to that of the process."""
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     origins = dict.fromkeys(UserSettings.__struct_fields__, "default")
@@ -72,7 +72,7 @@ def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSetting
 
 
 def user_file(environment: Mapping[str, str]) -> Path:
-    """Return the path of the user's settings file, which is in the XDG base directory."""
+    """Return the path of the user's settings file in the XDG configuration directory."""
     folder = environment.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(folder).expanduser() / "armlab" / _FILE
 

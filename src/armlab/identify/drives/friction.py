@@ -1,8 +1,8 @@
 """Drive terms in addition to the friction of `fit_dynamics`, fitted to its residuals and kept if they improve the fit.
 
 The terms are warm-up (if one log lasts 20 minutes or more), torque ripple, and friction over position and speed. Each
-term is fitted per joint to the unfiltered residual of the preceding terms. Ripple that varies more slowly over position
-than the spacing of the centres is left to the friction map. Theory: docs/theory/friction.md.
+term is fitted per joint to the unfiltered residual of the preceding terms. Ripple with a period above twice the spacing
+of the centres is left to the friction map. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
 
-SLOWEST = 0.02  # share of the peak speed: slower samples are ignored for centres
+SLOWEST = 0.02  # fraction of the peak speed below which samples are ignored for centres
 
 
 def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int = 5) -> RadialBasis:
@@ -112,7 +112,7 @@ def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 RIDGE = 1e-3  # ridge of the friction map, relative to the mean diagonal
 SHORTEST = 0.5  # s, shortest block
 MOST_OF = 20  # minimum number of blocks
-ROWS = 20000  # rows per joint: longer records are decimated
+ROWS = 20000  # maximum rows per joint; longer records are decimated
 SPEEDS = 8
 HIGHEST = 1.25  # highest line of the search, relative to the model's ripple line at twice the gear ratio
 
@@ -177,21 +177,21 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[Torque
     Parameters
     ----------
     table : one or several logs of free motion with columns q, qd, tau (N, n); warm-up needs a log of 20 minutes. Joints
-        at rest, as in `friction_run`, keep their present terms.
+        at rest, as in `friction_run`, keep their current terms.
     model : identified torque model of the recorded arm, or its fit.
 
     Returns
     -------
     Fit of `models.TorqueModel`: the model with the terms that improve it, or the unchanged model. Torque covariance
-    and quality are reassessed: terms fitted without a fifth of the log are validated on that fifth, and the given
-    model's loss on held-out rows is added if it was identified from the same log. Parameters are the coefficients of
-    the terms, in N m, and the lines, with a covariance from the scatter of blocks and the bias of the ridge. For the
+    and quality are reassessed: terms fitted without a fifth of the log are validated on that fifth. If the given model
+    was identified from the same log, its excess error on held-out rows is added. Parameters are the coefficients of the
+    terms, in N m, and the lines; their covariance combines the scatter of blocks and the bias of the ridge. For the
     parameters of warm-up, see `fit_warm_up`.
 
     Raises
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : a short log, all joints at rest, or a joint that hardly slides beyond its presliding distance.
+    NotExcited : a short log, all joints at rest, or a joint that rarely slides beyond its presliding distance.
 
     References
     ----------
@@ -262,8 +262,8 @@ def _ripple(
 ) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
     """Return the selected lines of one joint with their coefficients and their Gaussians in speed.
 
-    Lines are selected in `clean`, the residual of friction over position, and fitted to the rows in which all lines
-    are slow; this limits the range of the Gaussians.
+    Lines are selected in `clean`, the residual of friction over position, and fitted to the rows in which no line
+    aliases; this limits the range of the Gaussians.
     """
     cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):

@@ -24,8 +24,8 @@ from armlab.estimation.robust import shrinkage
 
 RIDGE = 1e-6  # ridge relative to the mean diagonal
 FOLDS = 5
-MOST_STRETCHES = 200  # segments for a covariance
-FULL = 1e-6  # smallest share of a direction determined by other segments
+MOST_STRETCHES = 200  # maximum number of segments for a covariance
+FULL = 1e-6  # lower limit on the share of a direction determined by the other segments
 
 
 def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
@@ -42,8 +42,8 @@ def refit(
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
     of the moments g_b of the residuals per block. `cov` exceeds the formal covariance if residuals are correlated.
-    With few blocks S is shrunk towards a multiple of H (`shrinkage`), because it would be rank-deficient. v is the mean
-    square of the coefficients and represents the bias of the ridge for weakly determined coefficients.
+    With few blocks, S would be rank-deficient and is shrunk towards a multiple of H (`shrinkage`). The mean square v of
+    the coefficients accounts for the ridge bias of weakly determined coefficients.
     """
     x, H = ridge_solution(A, y, ridge)
     pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
@@ -101,7 +101,7 @@ def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float
 
 GAP = 1e-6  # accepted relative duality gap
 ROUNDS = 20000
-PATH = 20  # number of penalties that are tried
+PATH = 20  # number of penalties tried
 SHORTEST = 1e-3  # ratio of the smallest penalty to the largest
 
 
@@ -185,7 +185,7 @@ def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[f
 
 
 def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
-    """Return the mask (G,) of the groups that a group lasso selects.
+    """Return the mask (G,) of the groups selected by a group lasso.
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the smallest.
     """

@@ -1,8 +1,8 @@
 """Search and fit of torque ripple lines in the residuals of one joint (law: models.friction.RippleLines).
 
 Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among these peaks.
-Finally, a line is kept if removing it increases the held-out error by more than 2 %. A line has the frequency
-c |qd| / (2 pi). Only samples in which this frequency is below a quarter of the sampling rate are used.
+Finally, a line is kept only if removing it increases the held-out error by more than 2 %. A line c causes ripple at the
+frequency c |qd| / (2 pi); only samples in which this frequency is below a quarter of the sampling rate are used.
 Theory: docs/theory/friction.md.
 """
 
@@ -30,7 +30,7 @@ CHUNK = 2**22  # numbers held in memory at once
 
 @dataclass(frozen=True, eq=False)
 class _LineSearch:
-    """Rows of one joint; `slow` marks the rows that are slow enough for a line."""
+    """Rows of one joint; `slow` marks the rows in which a line does not alias."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -57,7 +57,7 @@ def ripple_lines(
 
     Raises
     ------
-    ShapeError : inconsistent shapes, NaN, a rate that is not above 0.
+    ShapeError : inconsistent shapes, NaN, a non-positive rate.
     """
     q, qd, y = (numbers(x, "q, qd and y", ShapeError) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
@@ -92,7 +92,7 @@ def ripple_lines(
 def strongest_line(
     q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, lowest: float, highest: float
 ) -> tuple[float, float]:
-    """Return the line that explains most of a residual, and its share of the residual power (0, 0 if none)."""
+    """Return the line that explains most of the residual, and its share of the residual power (0, 0 if none)."""
     turns, search = np.ptp(q) / (2 * np.pi), _LineSearch(q, qd, y - np.mean(y), rate)
     if turns * (highest - lowest) < 4.0:
         return 0.0, 0.0
@@ -137,7 +137,7 @@ def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
 
 
 def _left(search: _LineSearch, lines: list[float]) -> np.ndarray:
-    """Return the residual without lines that have constant amplitude and phase per direction."""
+    """Return the residual after subtracting lines with constant amplitude and phase per direction."""
     if not lines:
         return search.y
     angle = np.outer(search.q, lines)

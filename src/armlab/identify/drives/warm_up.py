@@ -3,8 +3,8 @@
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
 with c the Coulomb torque of the model. For a given time constant and initial thermal state, x follows from the friction
-power, and all other parameters are linear. Power and x converge in three iterations. x is constant within a second, so
-only sums per second are stored for a log.
+power, and all other parameters are linear. Power and x converge in three iterations. The model keeps x constant within
+a second, so only sums per second are stored for a log.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from armlab.models import TorqueModel
 from armlab.models.friction import WarmUp
 
 MIN_SECONDS = 20 * 60.0
-TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s, searched time constants
+TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s, candidate time constants
 ROUNDS = 3
 HOTTEST = 3.0
-FEWEST = 40  # segments for a covariance of eight parameters
+FEWEST = 40  # minimum number of segments for a covariance of eight parameters
 COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # column of the sums for each linear parameter and y
 DEGREE = np.array([0, 0, 0, 0, 1, 1, 0])  # degree in x
 STEPS = 20  # maximum number of Gauss-Newton steps
@@ -125,8 +125,8 @@ def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) ->
 def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
     """Fit warm-up together with viscous friction, Coulomb friction and offset of every joint.
 
-    Warm-up is kept if it reduces the residual on held-out minutes by at least 2 %; otherwise, the friction of the joint
-    is unchanged.
+    Warm-up is kept if it reduces the squared error on held-out segments by at least 2 %; otherwise, the friction of the
+    joint is unchanged.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.nda
 
 
 def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
-    """Return the least-squares parameters from Gauss-Newton steps that include the dependence of the thermal state."""
+    """Return the least-squares parameters by Gauss-Newton, including how they change the thermal state."""
     every = np.ones(len(sums.rows))
     least = _left(sums, theta, reference, every)
     for _ in range(STEPS):
@@ -282,7 +282,7 @@ def _with_warm_up(model: TorqueModel, kept: dict[int, tuple[np.ndarray, float]])
         for name, value in zip(friction, (viscous, positive, negative, offset)):
             friction[name][i] = value
         mean, before = 0.5 * (positive + negative), 0.5 * (f.coulomb_pos[i] + f.coulomb_neg[i])
-        relative = of_coulomb * before / mean if mean else 0.0  # relative to the present Coulomb friction
+        relative = of_coulomb * before / mean if mean else 0.0  # relative to the current Coulomb friction
         for name, value in zip(warm, (relative, of_viscous, time, reference, start)):
             warm[name][i] = value
     return replace(model, friction=replace(f, **friction), warm_up=WarmUp(**warm))

@@ -1,8 +1,8 @@
 """Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
 
 `read_abb` uses the signal numbers of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Signals 4000
-(position), 4001 (speed), 4002 (torque) and 4003 (external torque) are values on the arm side of an axis (ABB's manual,
-as quoted in ros-industrial/abb_libegm, issue 86). Columns of other signals are named by signal number.
+(position), 4001 (speed), 4002 (torque) and 4003 (external torque) are arm-side values of an axis (ABB's manual, as
+quoted in ros-industrial/abb_libegm, issue 86). Columns of other signals are named by signal number.
 docs/how_to/exchange_logs.md shows an example map.
 
 Logs of orca and ExtCtrl have one column per motor signal, such as ``irb2ext.robot[0].joint[2].posRawAbs``, the angle of
@@ -74,8 +74,8 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
 
     Raises
     ------
-    LogError : the file is not text (for example, a binary file of ABB's programs), lacks a label or a clock, or
-        contains a non-numeric value.
+    LogError : the file is not text (for example, an ABB binary file), lacks a label or a clock, or contains a
+        non-numeric value.
     ConfigError : the map is invalid, names no arm, or contains an axis that the arm does not have.
     UnknownName : `arm` is not in the map.
     """
@@ -142,7 +142,7 @@ def _unit(one: _Signal, robot: Robot, path: Path) -> str:
 
 
 def _fields(path: Path, about: _Map) -> dict[str, list[str]]:
-    """Return the texts of each column by label (without labels, by number from 1)."""
+    """Return the strings of each column, keyed by label (without labels, by number from 1)."""
     rows = rows_of(path, about.separator)[about.skip :]
     if about.separator == " ":
         rows = [[field for field in row if field] for row in rows]
@@ -172,7 +172,7 @@ def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) 
 
 def _joined(table: Table, robot: Robot, path: Path) -> Table:
     """Assemble the axes of each signal in the arm's axis order, then convert them to joints."""
-    # On the arm side of the gears, only the coupling of a rod that moves two joints remains.
+    # On the arm side of the gears, the only remaining coupling is that of a rod that moves two joints.
     behind = replace(robot, coupling=robot.coupling / np.diag(robot.coupling))
     values: dict[str, Any] = {}
     columns: dict[str, Column] = {}
@@ -196,7 +196,7 @@ MOTOR_SIGNALS = {"q": ("rad", ["posRawAbs"]), "qd": ("rad/s", ["velFlt", "velRaw
 def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     """Return q, qd and tau of one arm: ``q = G q_motor``, ``qd = G qd_motor``, ``tau = G⁻ᵀ tau_motor``.
 
-    The axes are reordered first; then the gear matrix G is applied, which preserves power. The velocity is velFlt if
+    The axes are reordered before the gear matrix G is applied; both steps preserve power. The velocity is velFlt if
     logged, otherwise velRaw.
 
     Parameters
@@ -215,8 +215,8 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
         unit is wrong.
     ShapeError, RobotError : `table` is not a table, `robot` is not a `Robot`.
 
-    Reference: Robotlib.jl, src/read_log.jl and README. Robotlib's ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques, which agrees
-    with the above only for gears without coupling.
+    Reference: Robotlib.jl, src/read_log.jl and README. Robotlib's ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques and agrees with
+        the above only for gears without coupling.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
@@ -232,7 +232,7 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     if "q" not in values:
         arms = sorted({match[1] for name in table.names if (match := re.search(r"robot_(\d+)__joint_", alias(name)))})
         have = f"arms {', '.join(arms)}" if arms else f"columns {', '.join(table.names[:5])}, ..."
-        raise LogError(f"Expected columns robot[{arm}].joint[0].posRawAbs and so on, got {have}. Give another arm.")
+        raise LogError(f"Expected columns robot[{arm}].joint[0].posRawAbs and so on, got {have}. Pass another arm.")
     columns = {name: Column(labels=robot.joint_names) for name in values}
     source = (*table.source, f"from_orca({robot.name}, arm {arm})")
     return replace(table, values=values, columns=columns, source=source)
@@ -260,5 +260,5 @@ def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.
         )
     for name in found.values():
         if table.units[name] not in ("1", unit):
-            raise LogError(f"Expected motor values in {unit} in {name}, got {table.units[name]}. Convert them.")
+            raise LogError(f"Expected motor values in {unit} in {name}, got {table.units[name]}. Convert the values.")
     return np.stack([table[found[joint]] for joint in range(robot.n)], axis=1)

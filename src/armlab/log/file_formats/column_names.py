@@ -1,9 +1,9 @@
-"""Mapping of column names of other programs: ``q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5``, and presets.
+"""Mapping of other programs' column names: ``q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5``, and presets.
 
 An entry is ``NAME=SOURCE``, optionally with a factor and a unit: ``tau=current_{1..6}*{11.2,11.2,9.8,4.4,4.4,4.4}``.
-``{1..6}`` is a range, ``{0..}`` a range up to the last column in the file, ``{a,b}`` a list; ``{*}`` matches any text
-within one topic and gives the joint name. ``|`` separates alternatives; the first existing one is used. A source may
-omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds ``/joint_states/position[0]``.
+``{1..6}`` is a range, ``{0..}`` a range up to the last column in the file, and ``{a,b}`` a list. ``{*}`` matches any
+text within one topic and gives the joint name. ``|`` separates alternatives, of which the first existing name is used.
+A source may omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds ``/joint_states/position[0]``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from armlab import glossary
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log.column import UNITS, natural_key
 
-Arrays = Mapping[str, tuple[np.ndarray, str]]  # name -> values (N, ...) and unit, "" for none
+Arrays = Mapping[str, tuple[np.ndarray, str]]  # name -> values (N, ...) and unit ("" if none)
 
 _ROS_STAMP = "header.stamp.secs,header.stamp.nsecs"
 PRESETS = {
@@ -57,13 +57,13 @@ _TAIL = re.compile(
     r"^(?P<names>.*?)(?:\*(?P<factor>[-+.\deE]+|\{[^{}]*\}))?(?:\s*\[(?P<unit>[^\[\]\d{}][^\[\]{}]*)\])?$"
 )
 _MOST = 1000  # columns per pattern
-_WRIST = 3  # index of the first of the three identical drives of a UR
-_CORRELATED = 0.7  # smallest accepted correlation of current and moment after friction is removed from both
+_WRIST = 3  # index of the first of three identical UR drives
+_CORRELATED = 0.7  # minimum accepted correlation between current and moment, after friction is removed from both
 
 
 @dataclass(frozen=True)
 class _Source:
-    text: str  # as entered by the user, for messages
+    text: str  # as entered by the user, for error messages
     names: tuple[str, ...]  # patterns without lists
     factors: tuple[float, ...]  # one factor for all names, or one per name
     unit: str
@@ -71,7 +71,7 @@ class _Source:
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """Source names of the columns of a table."""
+    """Source names of table columns."""
 
     entries: Mapping[str, tuple[_Source, ...]]
     optional: frozenset[str] = frozenset()  # columns that a file may lack, as in presets
@@ -88,7 +88,7 @@ class ColumnNames:
         for name, sources in _entries(told):
             if sources is None:
                 if name not in PRESETS:
-                    raise UnknownName.among("preset of columns (or give NAME=SOURCE)", name, PRESETS)
+                    raise UnknownName.among("preset of columns (or use NAME=SOURCE)", name, PRESETS)
                 presets.append(name)
                 of_preset = dict(_entries(PRESETS[name]))
                 optional |= set(of_preset)
@@ -101,7 +101,7 @@ class ColumnNames:
         return cls(entries, frozenset(optional), tuple(presets))
 
     def of_several_files(self) -> ColumnNames:
-        """Return the names for a set of files, each of which has some of the columns."""
+        """Return the names for a set of files that each contain some of the columns."""
         return replace(self, optional=frozenset(self.entries), presets=())
 
     def found(self, path: Any, arrays: Arrays) -> tuple[dict[str, tuple[np.ndarray, str]], dict[str, tuple[str, ...]]]:
@@ -174,7 +174,7 @@ class ColumnNames:
         self.notes.append(f"tau is actual_current times {values} N m/A, identified from target_moment")
         for k in guessed:
             self.notes.append(
-                f"joint {k + 1} carries too little load, so the torque constant of the other wrist joints is used"
+                f"joint {k + 1} carries too little load; the torque constant of the other wrist joints is used"
             )
 
 
@@ -184,7 +184,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def fitting_presets(arrays: Arrays) -> str:
-    """Return a sentence that names the presets that fit the columns of a file; empty if none fits."""
+    """Return a sentence that names the presets matching the columns of a file, or "" if none matches."""
     fitting = []
     for preset, text in PRESETS.items():
         entries = dict(_entries(text))
@@ -204,7 +204,7 @@ def _entries(told: str | Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _sources(name: str, told: Any) -> tuple[_Source, ...]:
-    """Return the alternatives of an entry, which is a text or a list of names."""
+    """Return the alternatives of an entry, which is a string or a list of names."""
     texts = _split(told, "|") if isinstance(told, str) else ["{" + ",".join(map(str, told)) + "}"]
     if not name or not all(text.strip() for text in texts):
         raise ConfigError(f"Expected NAME=SOURCE, such as q=joint_{{1..6}}, got {name}={told}.")
@@ -230,7 +230,7 @@ def _source(name: str, text: str) -> _Source:
 
 
 def _split(text: str, mark: str) -> list[str]:
-    """Split a text at separators outside braces."""
+    """Split a string at separators outside braces."""
     parts, depth = [""], 0
     for letter in text:
         depth += (letter == "{") - (letter == "}")
@@ -290,7 +290,7 @@ def _matches(source: _Source, arrays: Arrays) -> tuple[_Source, list[str], tuple
 
 
 def _of_one_topic(pattern: str, arrays: Arrays) -> dict[str, str]:
-    """Return the text that ``{*}`` matches, by name, in the topic with most matches."""
+    """Return the string matched by ``{*}`` for each name, in the topic with the most matches."""
     before, after = map(re.escape, pattern.split("{*}", 1))
     topics: dict[str, dict[str, str]] = {}
     for name in arrays:
@@ -306,7 +306,7 @@ def _of_one_topic(pattern: str, arrays: Arrays) -> dict[str, str]:
 
 
 def _one(name: str, arrays: Arrays) -> str | None:
-    """Return the matching name in the file: an equal name, or the only one that ends with it after a ``/`` or ``.``."""
+    """Return the matching name in the file: an exact match, or the only name that ends with it after ``/`` or ``.``."""
     if name in arrays:
         return name
     ends = [one for one in arrays if one.endswith((f"/{name}", f".{name}"))]
@@ -317,7 +317,7 @@ def _together(
     path: Any, name: str, source: _Source, members: Sequence[str], parts: Sequence[tuple[np.ndarray, str]]
 ) -> tuple[np.ndarray, str]:
     if words := [one for one, (values, _) in zip(members, parts) if values.dtype.kind == "U"]:
-        raise LogError(f"Expected numbers in {words[0]} of {path} for {name}, got text. Give another column.")
+        raise LogError(f"Expected numbers in {words[0]} of {path} for {name}, got text. Pass another column.")
     if ":" in name:  # poses have fixed units; the given unit applies to the position
         parts = [
             (values * UNITS.get(source.unit if source.unit and k < 3 else unit, ("", 1.0))[1], "")

@@ -1,8 +1,8 @@
 """Delimited text: `read_csv`, `write_csv`, bounded lines, and ``run.csv.toml`` with column descriptions.
 
 ``t [s],q1 [rad],q2 [rad],grip [N]`` becomes the columns q (N, 2) and grip (N,). Files written by `log.write` are read
-back exactly if their description file is present. Purely numeric text is parsed as JSON without brackets, which is five
-times as fast.
+back exactly if their description file is present. Purely numeric text is parsed as JSON without brackets, five times as
+fast.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from armlab.log.table import Table
 LONGEST = 1 << 20
 """Characters per line: 40 000 numbers in full precision."""
 
-# Bytes of decompressed text that are always allowed, and the expansion ratio allowed beyond. gzip reaches a ratio of
-# 1030, recordings of a resting arm with 300 constant columns reach 154, and recordings of a moving arm reach 25.
+# Bytes of decompressed text that are always allowed, and the expansion ratio allowed beyond that. gzip reaches a ratio
+# of 1030, recordings of a resting arm with 300 constant columns reach 154, and recordings of a moving arm reach 25.
 _UNPACKED, _RATIO = 1 << 24, 200
 _LINES = 1 << 18  # lines that are always allowed; beyond this, one line per byte of the compressed file
 _PIECE = 1 << 16
@@ -125,8 +125,8 @@ BLOCK = 1 << 18  # bytes of text per block
 _ROWS = 1000  # rows per block
 _EMPTY = ((b",,", b",null,"), (b",,", b",null,"), (b",\n", b",null\n"), (b"\n,", b"\nnull,"))  # fields
 _NUMERIC = b"0123456789+-.eE, \r\n"
-_EXACT = 2.0**53  # whole numbers up to here are exact as floats
-_WHOLE = ("count", "flag")  # kinds of whole numbers
+_EXACT = 2.0**53  # integers up to this value are exact as floats
+_WHOLE = ("count", "flag")  # integer kinds
 DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+([eE][+-]?\d+)?$")
 
 
@@ -165,8 +165,8 @@ def read_csv(
 
     Raises
     ------
-    LogError : the file, its header or its clock is missing; the file is not text; or it has lines of unequal length, an
-        unknown unit, duplicate names or a decimal comma. The message states the line or the column.
+    LogError : the file, its header or its clock is missing, or the file is not text. Also if it has lines of unequal
+        length, an unknown unit, duplicate names or a decimal comma; the message states the line or column.
     """
     return text_table(path, rate, skip, separator, every, raw, columns)
 
@@ -203,7 +203,7 @@ def text_table(
         labels, skip = _numbered(path, labels, where), skip - 1
     names = names_of(path, labels)
     found = _numbers_only(path, skip, separator, len(labels))
-    if not found or not len(found[0]):  # text columns, or an error; its line is found below
+    if not found or not len(found[0]):  # text columns, or an error whose line is determined below
         texts = _texts(path, skip, separator, len(labels))
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
         for (name, _), of_one, array in zip(names, texts, found, strict=True):
@@ -290,7 +290,7 @@ def _decoded(text: bytes, separator: str) -> list[list[Any]]:
         raise ValueError("no numbers")
     lines = text.rstrip(b"\r\n")
     for old, new in ((mark, b","), (b"\r\n", b"\n"), *_EMPTY):
-        if old != new and old in lines:  # searching is ten times as fast as replacing
+        if old != new and old in lines:  # searching is ten times faster than replacing
             lines = lines.replace(old, new)
     first, last = (b"null" if one else b"" for one in (lines.startswith(b","), lines.endswith(b",")))
     return msgspec.json.decode(b"[[%b%b%b]]" % (first, lines.replace(b"\n", b"],["), last))
@@ -316,7 +316,7 @@ def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _texts(path: Path, skip: int, separator: str, width: int, least: int = 2) -> list[list[str]]:
-    """Return the texts below the header as columns, because rows would take twice the memory."""
+    """Return the strings below the header as columns, because rows would take twice the memory."""
     rows = islice(rows_in(path, separator), skip + 1, None)
     columns: list[list[str]] = [[] for _ in range(width)]
     even = _even(rows, len(columns), skip + 2, separator, path)
@@ -348,7 +348,7 @@ def _even(rows: Iterable[list[str]], width: int, first: int, separator: str, pat
 
 
 def _as_written(path: Path, beside: Description) -> Table:
-    """Return a table written by `log.write`."""
+    """Return a table that was written by `log.write`."""
     kinds = ["real"]
     for column in beside.columns.values():
         kinds += [column.kind] * int(np.prod(column.shape, dtype=int))
@@ -361,19 +361,19 @@ def _as_written(path: Path, beside: Description) -> Table:
             raise LogError(
                 f"Expected the columns that {path.name}.toml describes in {path}, got: {str(error).rstrip('.')}."
             ) from None
-    else:  # if one component exceeds the exact integers of a float, all components stay integer
+    else:  # if one component exceeds the exact integer range of floats, all components remain integers
         parts = [_whole(part) if kind in _WHOLE else part for kind, part in zip(kinds, parts, strict=True)]
     return beside.table(path, parts[0], put_together(beside, parts[1:], len(parts[0])))
 
 
 def _whole(array: np.ndarray) -> np.ndarray:
-    """Convert floats to integers if all are whole numbers; otherwise return them unchanged."""
+    """Convert floats to integers if all are integral; otherwise return them unchanged."""
     exact = array.dtype.kind == "f" and bool((np.abs(array) < _EXACT).all() and (array == np.round(array)).all())
     return array.astype(np.int64) if exact else array
 
 
 def _words(texts: Sequence[str], where: str) -> np.ndarray:
-    """Return texts (N,) as an array, in which each text takes four bytes per character of the longest text."""
+    """Return strings (N,) as an array, whose items take four bytes per character of the longest string."""
     sizes = [len(text) // 2 + 1 for text in texts]
     refuse_ragged(len(texts), {where: max(sizes, default=0)}, sum(sizes))
     return np.array(texts, dtype=np.str_)
@@ -381,7 +381,7 @@ def _words(texts: Sequence[str], where: str) -> np.ndarray:
 
 def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
     if kind == "text":
-        return _words(texts, "a column of texts")
+        return _words(texts, "a text column")
     if kind in _WHOLE:
         return np.array([int(text) for text in texts], dtype=np.int64)
     return np.array([text or "nan" for text in texts], dtype=np.float64)
@@ -418,7 +418,7 @@ ROWS_PER_BLOCK = 10_000
 
 
 def write_csv(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write a heading, ``t [s],q1 [rad],...``, and one line per row with the fewest digits that read back exactly."""
+    """Write a header, ``t [s],q1 [rad],...``, and one line per row with the fewest digits that read back exactly."""
     file.write(b",".join(_quoted(label) for label in Description.of(table).labels()) + b"\n")
     columns = [values for _, _, values in components(table)]
     for start, stop in pairwise([*range(0, len(table), ROWS_PER_BLOCK), len(table)]):
@@ -433,7 +433,7 @@ def _words_of_rows(values: np.ndarray) -> list[bytes]:
     if values.dtype.kind == "f" and np.isinf(values).any():
         return [b"" if value != value else repr(value).encode() for value in values.tolist()]  # NaN != NaN
     numbers = values.astype(np.int8) if values.dtype.kind == "b" else values
-    words = msgspec.json.encode(numbers.tolist())[1:-1].split(b",")  # six times as fast as repr
+    words = msgspec.json.encode(numbers.tolist())[1:-1].split(b",")  # six times faster than repr
     if values.dtype.kind == "f" and np.isnan(values).any():
         return [b"" if word == b"null" else word for word in words]
     return words

@@ -1,4 +1,4 @@
-"""Column descriptions in files of armlab, and labels and units in files of other programs."""
+"""Column descriptions in armlab files, and labels and units in files from other programs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from armlab.log.table import Table
 
 Key = TypeVar("Key", bound=Hashable)
 
-_LARGEST = 2**20  # numbers per row: each has a heading
+_LARGEST = 2**20  # numbers per row, each of which has a heading
 
 Progress = Callable[[float, float, str], None]
 """Progress callback (done, total, text)."""
@@ -39,7 +39,7 @@ class _Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Description of a table: armlab version, wall clock and clock owner, notes, source, and every column."""
+    """Description of a table: armlab version, wall-clock time, clock, notes, source, and every column."""
 
     armlab: str
     t0_ns: int
@@ -105,7 +105,7 @@ def _columns(columns: Mapping[str, Column]) -> dict[str, _Column]:
 
 
 def of_json(text: str | bytes, path: Path) -> Description:
-    """Return the description from the text of `Description.json`."""
+    """Parse the output of `Description.json`."""
     try:
         entries = json.loads(text)
         known = {name: entries[name] for name in Description.__struct_fields__ if name in entries}
@@ -159,7 +159,7 @@ def _parts(name: str, column: Column) -> Iterator[tuple[str, str]]:
 
 
 def _stored(array: np.ndarray, kind: str) -> np.ndarray:
-    """Return values in the type of their kind; the table rejects wrong values."""
+    """Return values in the data type of their kind; the table rejects invalid values."""
     if kind == "text":
         array = array.astype(np.str_)
     if kind == "flag" and array.dtype.kind in "iu":
@@ -177,7 +177,7 @@ NUMBERED = re.compile(
 )  # q1, q_1, cov1_4, q[1]
 
 
-COMMANDS = "sent commands"  # heading in logs of older libfranka, after which earlier names are repeated
+COMMANDS = "sent commands"  # heading in logs of older libfranka versions, after which earlier names are repeated
 
 
 def names_of(path: Path, headings: Sequence[str]) -> list[tuple[str, str]]:
@@ -270,7 +270,7 @@ def _in_si(
             values[name], columns[name] = array, Column(unit=known[0], kind="text")
             continue
         if name in CLOCKS and array.dtype.kind in "iu" and len(array):
-            array = array.astype(np.int64) - (0 if keep_start else int(array.flat[0]))  # in integers, without rounding
+            array = array.astype(np.int64) - (0 if keep_start else int(array.flat[0]))  # avoids rounding
         values[name] = array if known[1] == 1.0 else array * known[1]
         kind = {"i": "count", "u": "count", "b": "flag"}.get(values[name].dtype.kind)
         columns[name] = Column(unit=known[0], kind=None if symbol else kind)
@@ -301,7 +301,7 @@ def _clock(
 def _together(
     values: dict[str, np.ndarray], columns: dict[str, Column]
 ) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Join q1, q2, ... into q (N, n) for arrays of the glossary; complete the units of other columns."""
+    """Join q1, q2, ... into q (N, n) for arrays in the glossary; complete the units of other columns."""
     groups: dict[str, dict[tuple[int, ...], str]] = {}
     for label, array in values.items():
         name, place = _place(label)
@@ -337,13 +337,13 @@ def _place(label: str) -> tuple[str, tuple[int, ...]]:
 def _whole(group: dict[tuple[int, ...], str]) -> bool:
     """Return whether the array is complete, with indices from 1."""
     most = np.max(list(group), axis=0)
-    if math.prod(most.tolist()) != len(group):  # before listing all indices of a large array
+    if math.prod(most.tolist()) != len(group):  # checked before listing all indices of a large array
         return False
     return set(group) == {tuple(k + 1 for k in at) for at in np.ndindex(*most)}
 
 
 def _shared_unit(name: str, members: list[Column]) -> str | None:
-    """Return the unit of the components of one column; None means the unit in the glossary."""
+    """Return the common unit of a column's components; None means the unit in the glossary."""
     units, known = {member.unit for member in members}, glossary.columns()[name].unit
     if units <= {"", *known.split(", ")}:
         return None
@@ -360,9 +360,10 @@ def foreign_table(
     raw: bool = False,
     names: ColumnNames | None = None,
 ) -> Table:
-    """Return the table of arrays by name, with their units; names from the predecessor tools are mapped to armlab's.
+    """Return a table of named arrays with units; names of the predecessor tools are mapped to those of armlab.
 
-    The clock is t, time or timestamp. Arrays with matching columns are transposed; arrays of another size are skipped.
+    The clock is t, time or timestamp. Arrays with one sample per column are transposed; arrays of other sizes are
+    skipped.
     """
     arrays, joints = (arrays, {}) if names is None else names.found(path, arrays)
     named = {OLD_NAMES.get(name, name): entry for name, entry in arrays.items()}
@@ -370,8 +371,8 @@ def foreign_table(
     if clock is None:
         have = ", ".join(f"{name} {array.shape}" for name, (array, _) in arrays.items()) or "none"
         raise LogError(
-            f"Expected times t, time or timestamp in {path}, got {have}. Read the arrays by log.read_mat or h5py and "
-            f"build a table, log.Table(t, {{'q': q}}); or name the array of times, columns='t=NAME' (--columns t=NAME)."
+            f"Expected times t, time or timestamp in {path}, got {have}. Read the arrays with log.read_mat or h5py "
+            f"and build a table, log.Table(t, {{'q': q}}); or name the time array, columns='t=NAME' (--columns t=NAME)."
         )
     rows = named[clock][0].size
     kept, other = {}, list(left_out)

@@ -37,7 +37,7 @@ def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
     h5py = needed("h5py", "for HDF5")
     names = distinct({name: name.replace("/", "_").strip(".") or "_" for name in table.names}, ["t"])
     about = msgspec.structs.asdict(Description.of(table))
-    memory = BytesIO()  # a disk error during a write would crash the process in HDF5
+    memory = BytesIO()  # a disk error during a write would crash the process inside HDF5
     with h5py.File(memory, "w") as whole:
         with deferred():
             for key in ("armlab", "t0_ns", "clock"):
@@ -104,7 +104,7 @@ def read_hdf5(
 
 
 def stored_size(h5py: Any, whole: Any) -> int:
-    """Return the uncompressed size of all datasets of a file in bytes; each text counts as 16 bytes."""
+    """Return the uncompressed size of all datasets in a file [bytes]; each string counts as 16 bytes."""
     sizes = []
     whole.visititems(lambda _, item: sizes.append(item.nbytes) if isinstance(item, h5py.Dataset) else None)
     return sum(sizes)
@@ -124,7 +124,7 @@ def _described(whole: Any) -> tuple[Description, dict[str, str]]:
 
 
 def _datasets(h5py: Any, whole: Any) -> tuple[Mapping[str, tuple[np.ndarray, str]], list[str]]:
-    """Return the numbers and texts of another program with their units, and the names of all other datasets."""
+    """Return numeric and text datasets from another program with units, and the names of all other datasets."""
     found: dict[str, tuple[np.ndarray, str]] = {}
     left_out: list[str] = []
 
@@ -145,7 +145,7 @@ def _datasets(h5py: Any, whole: Any) -> tuple[Mapping[str, tuple[np.ndarray, str
 
     whole.visititems(visit)
     structs = {name.partition(".")[0] for name in found if "." in name}
-    if len(structs) == 1 and all("." in name for name in found):  # a single struct: its fields are columns
+    if len(structs) == 1 and all("." in name for name in found):  # the fields of a single struct are columns
         found = {name.partition(".")[2]: entry for name, entry in found.items()}
     return found, left_out
 
@@ -222,7 +222,7 @@ def _as_written(path: Path, file: Any, about: Description, columns: Sequence[str
 
 
 def _foreign(pa: Any, path: Path, file: Any, raw: bool, names: ColumnNames | None) -> Table:
-    """Return the columns of another program; columns that are neither numeric nor text are skipped and listed."""
+    """Return the columns from another program; columns that are neither numeric nor text are skipped and listed."""
     table, left_out, arrays = file.read(), [], {}
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_string, pa.types.is_large_string
     for field, (name, unit) in zip(table.schema, names_of(path, table.schema.names), strict=True):

@@ -37,7 +37,7 @@ _TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "strin
 
 @dataclass(slots=True)
 class _Leaf:
-    """Values of one column so far, the row count before each value, and the number of axes of non-empty values."""
+    """Values of one column so far, the row count before each value, and the array dimension of non-empty values."""
 
     dtype: Any
     values: list[np.ndarray] = field(default_factory=list)
@@ -47,13 +47,13 @@ class _Leaf:
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the largest value."""
-        axes = max((value.ndim for value in self.values), default=0)  # an empty list of lists has one axis
+        axes = max((value.ndim for value in self.values), default=0)  # an empty list of lists has one dimension
         most = [value.shape for value in self.values if value.ndim == axes]
         return tuple(max(sizes) for sizes in zip(*most, strict=True))
 
     @property
     def size(self) -> int:
-        """Eight-byte cells per row; a text takes four bytes per character of the longest text."""
+        """Eight-byte cells per row; strings take four bytes per character of the longest string."""
         if self.dtype is np.str_:
             return max(value.itemsize for value in self.values) // 8 + 1
         return math.prod(self.shape)
@@ -68,7 +68,7 @@ class _Leaf:
         array = np.asarray(value, dtype=dtype)
         if dtype is not self.dtype:
             if np.str_ in (dtype, self.dtype):
-                raise LogError(f"Expected numbers or texts in {label}, got both. Its sample was declared twice.")
+                raise LogError(f"Expected numbers or strings in {label}, got both. Its sample was declared twice.")
             self.dtype = np.result_type(dtype, self.dtype)
         if array.size:
             self.axes = array.ndim if self.axes is None else self.axes
@@ -82,7 +82,7 @@ class _Leaf:
 
 
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
-    """Read the table in a file with a LabComm stream, as written by the predecessors' loggers.
+    """Read a LabComm stream from a file, as written by the predecessors' loggers, as a table.
 
     The table has one row per value of the defining sample; values of other samples are held until the next value, and
     are missing before the first. A variable-size array has as many columns as its largest value and is padded with NaN.
@@ -97,13 +97,13 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
 
     Returns
     -------
-    Table : t = 0 at the first row. LabComm streams contain no units. The units of the bridge's rows are known; other
-        columns have unit 1.
+    Table : t = 0 at the first row. LabComm streams contain no units. The units of the bridge's rows are known; all
+        other columns have unit 1.
 
     Raises
     ------
     LogError : the file is missing, is not a LabComm stream, or is malformed (the message states the byte). Also if the
-        stream has no values, no clock or almost empty columns, or declares a sample twice (as numbers and texts, or
+        stream has no values, no clock or almost empty columns, or declares a sample twice (as numbers and strings, or
         with arrays of different dimensions).
     UnknownName : `sample` has no values; the message lists the samples with values.
     ShapeError : `rate` is not a single number.
@@ -206,7 +206,7 @@ def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def _column(leaf: _Leaf, rows: int) -> np.ndarray:
-    """Return the values (rows, ...) of a leaf, each held until the next value; integers with gaps become real."""
+    """Return the values (rows, ...) of a leaf, each held until the next value; integers with gaps become floats."""
     shape, axes = leaf.shape, len(leaf.shape)
     whole = leaf.rows[0] == 0 and all(value.shape == shape for value in leaf.values)
     if whole or leaf.dtype is np.str_:

@@ -36,11 +36,11 @@ _CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
 _NUMERIC = range(6, 16)
 _CLASSES = range(1, 18)
 _COMPLEX = 0x0800
-_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; otherwise, largest expansion ratio
+_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; otherwise, maximum expansion ratio
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
-    """Return the variables of a file: real numbers as stored, texts, and cells of texts; other variables are None."""
+    """Return the variables of a file: real numbers as stored, strings, and cells of strings; others are None."""
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
     if order is None:
         raise LogError("Expected the byte-order mark IM or MI, got an invalid mark.")
@@ -113,7 +113,7 @@ def _matrix(body: memoryview, order: str) -> tuple[str, np.ndarray | None]:
 
 
 def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], order: str) -> np.ndarray | None:
-    """Return a cell of texts, or None for other contents."""
+    """Return a cell of strings, or None for other contents."""
     words = []
     for kind, body in parts:
         text = None
@@ -126,7 +126,7 @@ def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], orde
         if text is None:
             return None
         words.append(text)
-    _check_shape((len(words), max(map(len, words), default=0)))  # each text is padded to the length of the longest
+    _check_shape((len(words), max(map(len, words), default=0)))  # each string is padded to the longest length
     return np.array(words, dtype=np.str_).reshape(shape, order="F")
 
 
@@ -258,7 +258,7 @@ def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
         if table[name].nbytes > LARGEST:
             raise LogError(
                 f"Expected columns below 2 GB for a MAT file of version 5, got {table[name].nbytes / 1e9:.1f} GB in "
-                f"{name!r}. Write HDF5 by using a name that ends in .h5."
+                f"{name!r}. To write HDF5, use a name that ends in .h5."
             )
     names = matlab_names(table.names)
     variables: dict[str, Any] = {"t": table.t}
@@ -288,13 +288,13 @@ def read_mat_table(path: Path, *, raw: bool = False, names: ColumnNames | None =
 
 
 def _valid(name: str) -> str:
-    """Return a valid MATLAB name, unchanged if possible."""
+    """Return a valid MATLAB name; a valid name is unchanged."""
     valid = re.sub(r"\W", "_", name, flags=re.ASCII)
     return (valid if valid[:1].isalpha() and valid not in KEYWORDS else f"x{valid}")[:LONGEST]
 
 
 def _cells(values: np.ndarray) -> np.ndarray:
-    """Return numbers unchanged, texts as a cell array."""
+    """Return numbers unchanged, and strings as a cell array."""
     if values.dtype.kind != "U":
         return values
     cells = np.empty(values.shape if values.ndim > 1 else (len(values), 1), dtype=object)

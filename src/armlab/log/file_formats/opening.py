@@ -17,7 +17,7 @@ FIRST = 1024
 """Number of bytes needed by `format_of`, because HDF5 may start with a user block of 512 bytes."""
 
 BAGS = ("rosbag2", "SQLite (rosbag2)", "ROS 1 bag")
-"""Formats recorded by ROS programs, besides MCAP."""
+"""Formats recorded by ROS programs, in addition to MCAP."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -109,7 +109,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def undamaged(what: str, raised: Any = Exception) -> Iterator[None]:
-    """Turn the errors that readers raise for corrupt files, which differ between readers, into a one-line LogError."""
+    """Convert the various errors that readers raise for corrupt files to a one-line LogError."""
     try:
         yield
     except ArmlabError:
@@ -130,11 +130,11 @@ def opened(path: Path) -> Iterator[memoryview]:
     yield memoryview(mapped)  # the mapping is released with the last array that uses it
 
 
-_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; otherwise, largest expansion ratio (constant columns)
+_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; otherwise, maximum expansion ratio (constant columns)
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
-    """Reject a file that would expand to far more than its size."""
+    """Reject a file that would expand far beyond its size."""
     most = max(_ANY, _RATIO * path.stat().st_size)
     if size > most:
         raise LogError(

@@ -28,7 +28,7 @@ from armlab.log.recording.ros_messages import POSE_FIELDS, WRENCH_FIELDS, blank,
 from armlab.log.table import Table
 from armlab.wire import cdr
 
-EXACT = 1e-12  # largest error of RᵀR that a quaternion represents exactly
+EXACT = 1e-12  # maximum error of RᵀR at which a quaternion represents R exactly
 JOINTS = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -42,7 +42,7 @@ _ENCAPSULATION = b"\0\1\0\0"  # plain CDR, little-endian
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """One topic: name, message type, and column -> dotted names of the fields that hold it."""
+    """One topic: name, message type, and the dotted field names of each column."""
 
     name: str
     type: str
@@ -61,7 +61,7 @@ def whole_poses(table: Table) -> list[str]:
 
 
 def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTopic]:
-    """Return the topics of a table, which are the same for writing and reading."""
+    """Return the topics of a table, for both writing and reading."""
     rest, topics = dict(columns), [BagTopic("/t", "std_msgs/msg/Float64", {"t": ("data",)})]
     for ending in ("", "_ref", "_sent"):
         parts = {f"{name}{ending}": field for name, field in (("q", "position"), ("qd", "velocity"), ("tau", "effort"))}
@@ -193,7 +193,7 @@ def _types(name: str) -> cdr.Definitions:
 
 
 STORAGES = ("mcap", "sqlite3")
-VERSION = 8  # version of metadata.yaml: the last one with quality of service as text, which releases before Jazzy need
+VERSION = 8  # last version of metadata.yaml with quality of service as text, which releases before Jazzy need
 BLOCK = 10_000  # rows per block
 LAST = 2**31 * 10**9  # ns: header stamps hold seconds in 31 bits
 
@@ -228,7 +228,7 @@ def write_rosbag2(
 
 
 def _stamps(table: Table) -> np.ndarray:
-    """Return the wall clock of each row [ns], non-negative and increasing so that stamps keep the row order."""
+    """Return the wall-clock time of each row [ns], non-negative and increasing, so stamps preserve the row order."""
     if not len(table):
         return np.zeros(0, dtype=np.int64)
     if np.abs(table.t).max() >= LAST / 1e9:
@@ -246,7 +246,7 @@ def _stamps(table: Table) -> np.ndarray:
 
 
 def is_ours(folder: Path) -> bool:
-    """Return whether `write_rosbag2` wrote a folder, that is, whether its metadata.yaml describes a table."""
+    """Return whether a folder was written by `write_rosbag2`: its metadata.yaml then describes a table."""
     try:
         return re.search(rb"(?m)^\s+armlab:", (folder / "metadata.yaml").read_bytes()) is not None
     except OSError:

@@ -1,9 +1,8 @@
 """Numeric columns of MCAP messages, decoded in blocks of rows that share a layout.
 
-The chunk indexes give the number of messages. The first message of a channel is parsed field by field. Messages of
-equal length with equal bytes outside the numbers have the same layout, so the numbers of a whole chunk are copied in
-one step into arrays of their final size (`Room`). Messages with other layouts are read in blocks of equal length
-(`decode_messages`).
+The chunk indexes give the number of messages. The first message of a channel is parsed field by field. Messages with
+the same length and the same non-numeric bytes have the same layout. Their numbers are copied chunk by chunk into arrays
+of the final size (`Room`). Messages with other layouts are read in blocks of equal length (`decode_messages`).
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ class Read:
 
 @dataclass(slots=True)
 class _Bad:
-    """Rows of invalid messages, and the reason why the first of these messages is invalid."""
+    """Rows of invalid messages, and the reason why the first one is invalid."""
 
     rows: list[int] = field(default_factory=list)
     first: int = 0
@@ -86,7 +85,7 @@ class _Bad:
 
 
 def of_length(lengths: np.ndarray) -> list[np.ndarray]:
-    """Return, for each length, the rows (k,) of the messages of this length in increasing order."""
+    """Return, for each message length, the rows (k,) of these messages in increasing order."""
     order = np.argsort(lengths, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if len(order) else []
 
@@ -173,7 +172,7 @@ def _runs(fields: Iterable[cdr.Field]) -> Iterator[tuple[Run, tuple[int, int, st
 
 
 def joined(pieces: Iterable[Piece]) -> list[Piece]:
-    """Merge pieces with the same columns, in the order of first occurrence."""
+    """Merge pieces with the same columns, in order of first occurrence."""
     alike: dict[tuple[Run, ...], list[Piece]] = {}
     for piece in pieces:
         alike.setdefault(tuple(piece[1]), []).append(piece)
@@ -235,7 +234,7 @@ _PREFIX = np.dtype(
 class Part:
     """Messages of one channel in part of a file: sequence numbers (k,), log times (k,) and numbers by layout.
 
-    `bad`: number of messages that do not match their type; `reason`: why the first of them does not match.
+    `bad`: number of messages that do not match their type; `reason`: why the first one does not match.
     """
 
     sequence: np.ndarray
@@ -273,7 +272,7 @@ def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
 
 
 def walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
-    """Return the offsets of the messages of some channels by parsing the records."""
+    """Return the message offsets of some channels by parsing the records."""
     found: dict[int, list[int]] = {number: [] for number in numbers}
     for kind, start, stop in records(memoryview(data), 0, len(data)):
         if kind == MESSAGE and stop - start >= 22:
@@ -296,7 +295,7 @@ def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
 
 
 def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> Part:
-    """Return the messages with records at the offsets (k,) of a byte array."""
+    """Return the messages whose records begin at the offsets (k,) of a byte array."""
     if not len(offsets):
         return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64))
     prefix = _items(raw, offsets, _PREFIX)
@@ -308,7 +307,7 @@ def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader)
 
 
 _RECORD = 31  # bytes of a record before its message: kind, length, channel, sequence, two times
-_LARGEST = 1 << 31  # bytes, largest size of a valid chunk
+_LARGEST = 1 << 31  # bytes, maximum size of a valid chunk
 _TRIES = 8  # chunks searched for the first message of each channel
 
 
@@ -323,7 +322,7 @@ class Room:
             count = (places[:, 1] - places[:, 0]) // 16  # messages per chunk, from the index
             message = messages.get(number, b"")
             if message or not count.any():
-                with suppress(*DAMAGE):  # corrupt messages, and sizes beyond memory
+                with suppress(*DAMAGE):  # corrupt messages, and sizes that exceed memory
                     self._columns[number] = _columns(chunks, count, message, reader)
         columns = self._columns.values()
         self._first = list(zip(*(one.first for one in columns), strict=True)) or [()] * len(chunks)
@@ -407,7 +406,7 @@ def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collect
     return found
 
 
-_BATCH = 8  # chunks that a reading thread takes at once
+_BATCH = 8  # chunks per task of a reading thread
 
 
 @dataclass(slots=True)
@@ -465,7 +464,7 @@ def decode_by(
     damage: list[str] = []
     batches = [range(first, min(first + _BATCH, len(chunks))) for first in range(0, len(chunks), _BATCH)]
     done, total = 0, sum(chunk.size for chunk in chunks)
-    with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
+    with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the GIL
         for batch, (decoded, lost) in zip(batches, pool.map(read, batches), strict=True):
             damage += lost
             for number, of_channel in decoded.items():

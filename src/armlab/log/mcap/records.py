@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 from armlab.errors import LogError
 
-_MAX_CHUNK = 1 << 31  # bytes, largest size of a valid chunk
-_MAX_OPEN = 1 << 28  # bytes, largest size of an unfinished chunk
-_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; otherwise, largest expansion ratio (zstd: 15 000)
+_MAX_CHUNK = 1 << 31  # bytes, maximum size of a valid chunk
+_MAX_OPEN = 1 << 28  # bytes, maximum size of an unfinished chunk
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; otherwise, maximum expansion ratio (zstd: 15 000)
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 _of_thread = threading.local()
@@ -43,7 +43,7 @@ def most_unpacked(size: int) -> int:
 
 
 def end_of_blocks(view: memoryview, at: int) -> int:
-    """Return the end of the last complete block of the zstd frame at a position, or `at` if there is none."""
+    """Return the end of the last complete block of the zstd frame at `at`, or `at` itself if no block is complete."""
     import zstandard
 
     header = bytes(view[at : at + 18])
@@ -109,7 +109,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
             import zstandard
 
             declared = zstandard.frame_content_size(packed)
-            if declared not in (-1, chunk.size):  # checked before allocating that size
+            if declared not in (-1, chunk.size):  # checked before memory is allocated
                 raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
             if not hasattr(_of_thread, "decompressor"):  # cached: its tables are as large as a chunk
                 _of_thread.decompressor = zstandard.ZstdDecompressor()
@@ -124,7 +124,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
         raise LogError(
             "Expected the package lz4 for this file, but it is not installed. Install it: pip install lz4."
         ) from None
-    except Exception as error:  # the errors of the codecs have no common base class
+    except Exception as error:  # codec errors have no common base class
         raise LogError(f"Expected {chunk.compression} data in the chunk at byte {chunk.start}, got: {error}.") from None
     raise LogError(f"Expected compression zstd, lz4 or none, got {chunk.compression!r} at byte {chunk.start}.")
 
@@ -205,7 +205,7 @@ def contents(view: memoryview) -> Contents:
 
 
 def records(view: memoryview, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Yield (kind, start, stop) of the body of each record completely within [at, stop)."""
+    """Yield (kind, start, stop) for the body of each record that is completely within [at, stop)."""
     while at + 9 <= stop:
         kind, length = struct.unpack_from("<BQ", view, at)
         body = at + 9
@@ -236,7 +236,7 @@ def _by_summary(view: memoryview) -> Contents | None:
         elif kind == STATISTICS:
             (chunk_count,) = struct.unpack_from("<I", view, body + 22)
     header = next(records(view, len(MAGIC), len(view)), None)
-    if header is not None:  # otherwise the length of the header is corrupt, but the summary is intact
+    if header is not None:  # otherwise, the header length is corrupt, but the summary is intact
         _take(found, view, HEADER, *header[1:])
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
     found.indexed = all(chunk.indexes for chunk in found.chunks)
@@ -269,7 +269,7 @@ def _by_walking(view: memoryview) -> Contents:
 
 
 def _check_sizes(found: Contents, view: memoryview) -> None:
-    """Raise an error if all chunks together unpack to far more than the file size; ignore single chunks that do."""
+    """Raise an error if all chunks together unpack to far more than the file size; ignore single oversized chunks."""
     most = most_unpacked(len(view))
     whole = sum(chunk.size for chunk in found.chunks if chunk.size <= most)
     if whole > most:
@@ -300,7 +300,7 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
         found.library, _ = _text(view, at)
     elif kind in (SCHEMA, CHANNEL):
         number = int.from_bytes(view[body : body + 2], "little")
-        if number not in (found._schemas if kind == SCHEMA else found.channels):  # otherwise repeated by the summary
+        if number not in (found._schemas if kind == SCHEMA else found.channels):  # otherwise, the summary repeats it
             _register(found, view, kind, body, stop)
     elif kind == CHUNK:
         found.chunks.append(_chunk(view, body, stop))

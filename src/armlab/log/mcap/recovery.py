@@ -20,7 +20,7 @@ from armlab.log.mcap.writer import McapWriter
 def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
     """Open a file under a temporary name; rename it after success, remove it otherwise."""
     try:
-        file = part.open("xb", buffering=0)  # "x" never replaces an existing file, which may be the input
+        file = part.open("xb", buffering=0)  # "x" never overwrites an existing file, which may be the input
     except OSError as error:
         raise LogError(f"Expected to create {part}, got: {error.strerror}.") from None
     try:
@@ -38,7 +38,7 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 def _rename(part: Path, target: Path) -> None:
     """Rename the finished copy to its final name, unless another file now has this name."""
     try:
-        os.link(part, target)  # unlike a rename, a link never replaces an existing file
+        os.link(part, target)  # unlike renaming, linking never replaces an existing file
     except FileExistsError:
         raise
     except OSError:  # a file system without hard links
@@ -71,7 +71,7 @@ class Recovery:
 
 
 def recover(path: str | Path, to: str | Path | None = None, *, progress: Progress | None = None) -> Recovery:
-    """Write a complete copy of an unfinished or corrupt MCAP file with every readable message.
+    """Write a finished copy of an unfinished or corrupt MCAP file, with every readable message.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
 
     Raises
     ------
-    LogError : not an MCAP file, no readable message, or the output exists or cannot be written.
+    LogError : the file is not an MCAP file or has no readable message, or the output exists or cannot be written.
     """
     path = Path(path)
     check_readable(path)

@@ -58,9 +58,9 @@ class _OpenChunk:
 
 
 class _Index:
-    """Records for the end of the file, buffered in an unnamed temporary file because they take 20 MB per day.
+    """Records for the end of the file, buffered in an unnamed temporary file because they grow by 20 MB per day.
 
-    If other code closes its descriptor, the data are lost and `taken` raises an error.
+    If other code closes the file descriptor, the data are lost and `taken` raises an error.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -115,7 +115,7 @@ class McapWriter:
 
     @property
     def size(self) -> int:
-        """Number of bytes in the current chunk, which is also the offset of the next record."""
+        """Number of bytes in the current chunk, and thus the offset of the next record."""
         return 0 if self._chunk is None else self._chunk.size
 
     def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
@@ -178,7 +178,7 @@ class McapWriter:
         chunk.first_ns, chunk.last_ns = min(chunk.first_ns, first_ns), max(chunk.last_ns, last_ns)
 
     def push(self) -> None:
-        """Pass all messages to the kernel, where they survive a crash of this process, but not of the machine."""
+        """Pass all messages to the kernel, where they survive a crash of this process but not of the computer."""
         if self._chunk is not None and self._chunk.pending:
             self._push(self._chunk, self._block)
 
@@ -230,7 +230,7 @@ class McapWriter:
         self._put(packed)
 
     def _write_header(self, start: int, header: bytes) -> None:
-        """Overwrite the open header of a chunk completely or not at all: a mixed header would hide the messages."""
+        """Overwrite the open header of a chunk atomically: a partly written header would hide the messages."""
         try:
             self._file.seek(start)
             _write_all(self._file.write, header)
@@ -244,7 +244,7 @@ class McapWriter:
     def _put(self, data: bytes) -> None:
         try:
             _write_all(self._file.write, data)
-        except BaseException:  # a partial write would be read as messages missing from the index
+        except BaseException:  # readers would take a partial write for messages missing from the index
             with contextlib.suppress(OSError):
                 self._file.truncate(self._at)
             raise

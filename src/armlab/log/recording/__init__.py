@@ -1,3 +1,3 @@
-"""Recordings of armlab: written by a running link, and cut, merged and inspected offline."""
+"""armlab recordings: written by a running link, and cut, merged and inspected offline."""
 
 __all__ = []

@@ -24,7 +24,7 @@ from armlab.log.table import Table
 CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
 """Columns that define the clock of a recording."""
 
-_QUATERNION_LENGTH = 1e-3  # accepted error of the norm of a quaternion
+_QUATERNION_LENGTH = 1e-3  # tolerance on the norm of a quaternion
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
         return names[topic_name(robot)]
     if len(names) > 1:
         raise LogError(
-            f"Expected the name of one robot (robot=; --robot or --arm of commands) for {path}, which holds "
+            f"Expected the name of one robot (robot=, or --robot or --arm on the command line) for {path}, which holds "
             f"{', '.join(sorted(names))}."
         )
     return next(iter(robots))
@@ -102,7 +102,7 @@ def _source(channel: int, topic: str, key: str, text: str) -> Source:
 
 
 def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: list[str]) -> np.ndarray | None:
-    """Return a column aligned with the rows of the table, or None if no message has it; note faults in `damage`."""
+    """Return a column aligned with the rows of the table, or None if no message contains it; add faults to `damage`."""
     parts = [decoded.fields.get(path) for path in source.fields]
     there = [part for part in parts if part is not None]
     if len(there) < len(parts) or not parts:
@@ -144,7 +144,7 @@ def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.nd
 
 
 def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock: str) -> tuple[int, str]:
-    """Return the wall clock at t = 0 [ns] and the clock name stored with a column `t`; default: the given values."""
+    """Return the wall-clock time at t = 0 [ns] and the clock name of a column `t`; default: the given values."""
     about = found.channels[sources["t"].channel].metadata if "t" in sources else {}
     return int(about.get(T0_KEY, t0_ns)), about.get(CLOCK_NAME_KEY, clock)
 
@@ -176,7 +176,7 @@ def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = N
 
 
 def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
-    """Return the origins of the rows in a file written by `write`, `cut` or `merge`."""
+    """Return the provenance of the rows in a file written by `write`, `cut` or `merge`."""
     chain = summary_of(view, found).get("source", [])
     return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
 
@@ -194,7 +194,7 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:
-    """Return a note on the recovered part of an unfinished file and on how to repair it."""
+    """Return a note on what was recovered from an unfinished file, and how to repair it."""
     seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
     return (
         f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes truncated; "

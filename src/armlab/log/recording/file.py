@@ -1,4 +1,4 @@
-"""MCAP file of a recording; it never replaces an existing file, and is complete up to the last row after a crash."""
+"""MCAP file of a recording, which never replaces an existing file and is complete up to the last row after a crash."""
 
 from __future__ import annotations
 
@@ -28,14 +28,15 @@ _FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
 class PersistentFile:
     """New file, opened for unbuffered writing.
 
-    If other code closes its descriptor, the file is reopened by its path, and writing continues at the same position.
+    If other code closes the file descriptor, the file is reopened by its path, and writing continues at the same
+    position.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.name: str = str(Path(path).absolute())
         self.closed = False
         self._at = 0
-        self._lock = threading.Lock()  # guards the descriptor: writing and syncing threads may both find it closed
+        self._lock = threading.Lock()  # the writing and syncing threads may both find the descriptor closed
         self._descriptor = Descriptor(os.open(self.name, _FLAGS | os.O_CREAT | os.O_EXCL, 0o666))
 
     def fileno(self) -> int:
@@ -74,7 +75,7 @@ class PersistentFile:
         return Descriptor(number)
 
 
-MAX_CHUNK_ROWS = 250  # one second at 250 Hz: largest loss from a corrupt chunk, even after a stall
+MAX_CHUNK_ROWS = 250  # one second at 250 Hz: maximum loss from a corrupt chunk, even after a stall
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
@@ -107,9 +108,9 @@ def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
 
 
 class RecordingFile:
-    """Recording of one arm: an MCAP file (profile ros2, zstd), which is created with this object.
+    """Recording of one arm: an MCAP file (profile ros2, zstd), created by the constructor.
 
-    `clock`: for a layout with a column `t`, the wall clock at t = 0 [ns] and the name of the clock of `t`.
+    `clock`: for a layout with a column `t`, the wall-clock time at t = 0 [ns] and the clock name.
     """
 
     def __init__(
@@ -197,7 +198,7 @@ class RecordingFile:
             os.fsync(self._file.fileno())
 
     def sync(self) -> None:
-        """Close the chunk and sync everything to disk, so that the rows so far survive a power loss."""
+        """Close the chunk and sync everything to disk, so all rows so far survive a power loss."""
         self.close_chunk()
         os.fsync(self._file.fileno())
 

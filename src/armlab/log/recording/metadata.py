@@ -50,7 +50,7 @@ def redacted(name: str, data: bytes) -> bytes:
     """Return a file with its secrets removed."""
     if Path(name).suffix.lower() not in _FORMATS:
         return bytes(data)
-    plain = data.replace(b"\0", b"").decode("latin-1")  # UTF-16 names are found, too
+    plain = data.replace(b"\0", b"").decode("latin-1")  # also finds UTF-16 names
     mentions = SECRET.search(plain) is not None
     if not mentions and "\\" not in plain:  # "\u0074oken" is also a name
         return bytes(data)
@@ -76,7 +76,7 @@ def _without(value: Any, known: dict[int, Any]) -> Any:
         items = known[id(value)] = []
         items += [_without(one, known) for one in value]
         return items
-    if isinstance(value, tuple | set):  # YAML pairs, in which keys and values are indistinguishable
+    if isinstance(value, tuple | set):  # YAML pairs: keys and values are indistinguishable
         raise TypeError("not a table, list, string or number")
     return _TOLD.sub(rf"\1{_HIDDEN}", value) if isinstance(value, str) else value
 
@@ -136,7 +136,7 @@ _PATIENCE = 2.0  # s, timeout for git
 
 
 def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
-    """Return the metadata record of a recording without secret options."""
+    """Return the metadata record of a recording, without secret options."""
     return {
         "version": __version__,
         "revision": revision(Path.cwd()),
@@ -250,7 +250,7 @@ def inspect(path: str | Path) -> Inspection:
 
     Raises
     ------
-    LogError : the file is missing, in another format, or corrupt beyond use.
+    LogError : the file is missing, in another format, or too corrupt to read.
     """
     path = Path(path)
     check_readable(path)
@@ -275,7 +275,7 @@ def inspect(path: str | Path) -> Inspection:
 def check_recorded(held: Inspection, robot: Robot) -> None:
     """Raise a `ModelMismatchError` unless a recording has rows of a robot and an identical description of it."""
     about = {topic_name(pairs["robot"]): pairs for pairs in held.metadata.values() if pairs.get("robot")}
-    names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topics: invalid characters are replaced
+    names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topic names, invalid characters are replaced
     pairs = about.get(topic_name(robot.name), about[names[0]] if len(names) == 1 else {})
     name, digest = pairs.get("robot", robot.name), pairs.get("robot_hash", "")
     advice = "Pass the robot that was recorded, or pass force=True (--force) to use this robot."
@@ -297,7 +297,7 @@ def _made(
     for number, channel in found.channels.items():
         if channel.type != type_ or channel.encoding != "cdr":
             continue
-        with suppress(LogError):  # a type of another program without a valid schema
+        with suppress(LogError):  # another program's type without a valid schema
             types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
             for _, stamp_ns, raw in messages(view, found, number):
                 with suppress(*DAMAGE):

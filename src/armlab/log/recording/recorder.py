@@ -1,7 +1,7 @@
 """`Log` and `Tail` hold rows in memory; `Recorder` writes rows to an MCAP file without blocking the loop.
 
-The loop never wakes the writing thread, because waking it would cost a system call per cycle and cause competition for
-the interpreter. Instead, the thread polls the queue.
+The writing thread polls the queue. If the loop woke the thread, every cycle would cost a system call, and both would
+contend for the GIL.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 
 _TAIL_RATE = 500.0  # rows per second in a Tail; EGM's fastest rate is 250
-_TAIL_ROWS = 1 << 40  # more rows than fit in memory
+_TAIL_ROWS = 1 << 40  # exceeds any memory
 
 
 class Log:
@@ -49,7 +49,7 @@ class Log:
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
         self._robot = robot
         self._layout = RowLayout(robot, {**(extra or {}), "t": Column()})
-        self._rows: deque[bytes] = deque()  # bytes, which the garbage collector does not scan
+        self._rows: deque[bytes] = deque()  # bytes are not scanned by the garbage collector
         self._start_ns = time.time_ns() - time.monotonic_ns()
         self._pushed = 0
 
@@ -60,11 +60,11 @@ class Log:
         """Append one row by column name; omitted values are missing.
 
         The field names of the predecessor's logs (pos vel trq pos_o vel_o trq_o timestamp seqnum) are accepted as
-        aliases. `t` is the row's time [s], given for every row or for none; default: the time of the call.
+        aliases. `t` is the row's time [s], given for all rows or none; default: the time of the call.
 
         Raises
         ------
-        UnknownName, ShapeError : raised before anything is stored.
+        UnknownName, ShapeError : a name or shape is invalid; nothing is then stored.
         """
         values = {OLD_NAMES.get(name, name): value for name, value in values.items()}
         stamp = self._start_ns + time.monotonic_ns()
@@ -82,7 +82,7 @@ class Log:
         self._rows.append(self._layout.pack(state, command, tick))
 
     def table(self) -> Table:
-        """Return the rows appended so far as an independent table."""
+        """Return a copy of the rows appended so far as a table."""
         values = self._layout.unpack(self._rows.copy())
         columns = {name: slot.column for name, slot in self._layout.slots.items()}
         return recording_table(values, columns, values.pop("stamp_ns"))
@@ -99,7 +99,7 @@ class Log:
 
         Raises
         ------
-        ConfigError : an extension other than .mcap; `write` creates other formats from `table()`.
+        ConfigError : the extension is not .mcap; `write` creates other formats from `table()`.
         LogError : the file cannot be written; no partial file remains.
         """
         rows = self._rows.copy()
@@ -139,8 +139,8 @@ class Tail(Log):
 class Syncing:
     """Thread that syncs a file on request.
 
-    While the disk is slow, written data stays in the kernel's memory. It survives a crash of the process and reaches
-    the disk with the next sync.
+    If the disk is slow, written data remain in kernel memory. They survive a process crash and reach the disk with the
+    next sync.
     """
 
     def __init__(self, sync: Callable[[], None], name: str) -> None:
@@ -196,26 +196,26 @@ class Recorder:
     extra : additional columns of the controller (``Command.record``); `wrench_hat` and `wrench_hat_cov` are built in.
     attachments : name -> bytes stored in the file, for example the robot's description and the model.
     note : free text, stored in the metadata.
-    wait : block `row()` while the queue is full instead of dropping rows. Used by links in lockstep, which do not run
-        in real time.
+    wait : block `row()` while the queue is full instead of dropping rows. Used by lockstep links, which do not run in
+        real time.
 
     Attributes
     ----------
     rows, dropped : number of accepted rows, and number of dropped rows.
-    failed : why the recorder stopped, or None.
+    failed : reason why the recorder stopped, or None.
 
     Raises
     ------
-    ConfigError : an extension other than .mcap.
+    ConfigError : the extension is not .mcap.
     LogError : the file cannot be created or written.
-    ShapeError, UnknownName : an invalid declared column.
+    ShapeError, UnknownName : a declared column is invalid.
 
     Notes
     -----
     A row is packed into bytes and queued (10 s of rows). If the queue is full, new rows are dropped and counted, and
     two events mark the gap. A thread passes all rows to the kernel every 40 ms, so a killed process loses only the
-    rows since then. Another thread syncs the file every 0.8 s, which bounds the loss in a power failure; a slow sync
-    does not delay rows. A write error stops the recorder, but never the loop.
+    rows since then. Another thread syncs the file every 0.8 s to bound the loss in a power failure; a slow sync does
+    not delay rows. A write error stops the recorder, but never the loop.
     """
 
     def __init__(
@@ -270,7 +270,7 @@ class Recorder:
             if command is not None and not command.record.keys() <= self._known:
                 unknown = ", ".join(sorted(map(str, command.record.keys() - self._known)))
                 self._complain(f"columns not written, because extra= does not declare them: {unknown}", tick)
-        except Exception as error:  # any error: an invalid row must not stop the loop
+        except Exception as error:  # catches all errors: an invalid row must not stop the loop
             self._complain(f"row not written: {str(error) or type(error).__name__}", tick)
             return self._drop(tick)
         if self._hole is not None:
@@ -292,7 +292,7 @@ class Recorder:
         sequence : number of the change.
         name, value : name and new value of the parameter.
         who : author of the change.
-        stamp_ns : wall clock.
+        stamp_ns : wall-clock time.
         """
         if self.failed is None:
             self._queue.append(partial(self._file.parameter, sequence, name, value, who, stamp_ns))
@@ -328,7 +328,7 @@ class Recorder:
         while not is_last:
             self._wake.wait(WRITE_PERIOD)
             self._wake.clear()
-            is_last = self._closed  # read before the queue is drained, so that earlier rows are included
+            is_last = self._closed  # read before draining the queue, to include all earlier rows
             self._write([self._queue.popleft() for _ in range(len(self._queue))])
             if time.monotonic() >= due:
                 self._file.close_chunk()
@@ -336,7 +336,7 @@ class Recorder:
                 due = time.monotonic() + FLUSH_PERIOD
 
     def _write(self, items: list[bytes | Callable[[], None]]) -> None:
-        """Write rows and the items between them in order."""
+        """Write rows, and the items between them, in order."""
         rows: list[bytes] = []
         for item in items:
             if isinstance(item, bytes):
@@ -355,7 +355,7 @@ class Recorder:
             try:
                 reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
                 self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
-            except Exception:  # no memory for a message
+            except Exception:  # not enough memory for a message
                 self.failed = self._stopped
             self._file.abandon()
 
@@ -382,7 +382,7 @@ class Recorder:
             self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event unless it is a repetition; a limit keeps varying texts from filling the disk."""
+        """Write an event unless it repeats an earlier one; a limit keeps varying messages from filling the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

@@ -16,7 +16,7 @@ from armlab.log.recording.rows import CODES, COUNTS, FLAGS, REALS, SELDOM, RowLa
 from armlab.wire import cdr
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
-# channel metadata of a column t: name of its clock, and the wall clock of t = 0 [ns]
+# channel metadata of a column t: name of its clock, and the wall-clock time at t = 0 [ns]
 CLOCK_NAME_KEY, T0_KEY = "armlab.clock_name", "armlab.t0_ns"
 COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON description of the column <name>
 
@@ -55,7 +55,7 @@ class Topic:
     clock: bool = False
 
     def metadata(self, slots: Mapping[str, Slot]) -> dict[str, str]:
-        """Return the channel metadata that lets any reader rebuild the columns."""
+        """Return the channel metadata from which any reader can rebuild the columns."""
         data = {CLOCK_KEY: "rows"} if self.clock else {}
         for name, paths in self.fields.items():
             column, missing = slots[name].column, slots[name].missing
@@ -70,7 +70,7 @@ class Topic:
 
 
 def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
-    """Return the topics of a recording of one arm, the clock first."""
+    """Return the topics for recording one arm, the clock first."""
     labels = tuple(joint_names)
     joints = {
         "joint_states": ("q", "qd", "tau"),
@@ -93,7 +93,7 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
     found += [column_topic(name) for name in ("q_planned", "q_ext", "wrench", *SELDOM)]
     for name in own:
         source = name.removesuffix(_RAW)
-        if source != name and layout.slots[name].size == 6:  # a force sensor that is a separate source
+        if source != name and layout.slots[name].size == 6:  # a force sensor with its own source
             topic = f"wrench/{topic_name(source)}"
             found.append(Topic(topic, "geometry_msgs/msg/WrenchStamped", {name: WRENCH_FIELDS}, source))
         else:
@@ -107,7 +107,7 @@ def column_topic(name: str) -> Topic:
 
 
 def clock_metadata(t0_ns: int, clock: str) -> dict[str, str]:
-    """Return the metadata of a column `t`: the wall clock of t = 0 [ns], and the name of the clock."""
+    """Return the metadata of a column `t`: the wall-clock time at t = 0 [ns], and the name of the clock."""
     return {T0_KEY: str(t0_ns), CLOCK_NAME_KEY: clock}
 
 
@@ -154,7 +154,7 @@ def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> 
 
 
 def _in_utf8(text: str) -> str:
-    """Escape lone surrogates, which JSON or file names may contain, because they must not end a recording."""
+    """Escape lone surrogates, as in some JSON or file names, because they must not stop a recording."""
     return text.encode(errors="backslashreplace").decode()
 
 

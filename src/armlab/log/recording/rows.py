@@ -1,4 +1,4 @@
-"""Rows of a recording as bytes, packed in the loop within a few microseconds and unpacked offline."""
+"""Rows of a recording as bytes, packed in the loop within microseconds and unpacked offline."""
 
 from __future__ import annotations
 
@@ -63,16 +63,16 @@ class Tick(NamedTuple):
     ----------
     number : increasing tick number of the bridge.
     seq_sent : sequence number of the reply, -1 if none was sent.
-    stamp_ns : wall clock at start plus monotonic time since start, int64 nanoseconds.
+    stamp_ns : wall-clock time at start plus monotonic time since start, int64 nanoseconds.
     receive_ns, send_ns : time of arrival, and time just before sending (-1 if nothing was sent) [ns].
     step_ns : time spent in the controller [ns].
     late : whether the controller missed its deadline.
     drops : number of datagrams dropped so far.
     q_sent, qd_sent, tau_sent : (n,) references sent after the limits, or None.
     clamped : (n,) bits of the active limits, or None.
-    record : values that the bridge adds to declared columns, in addition to the values from the Command.
+    record : values that the bridge adds to declared columns, besides those from the Command.
     q_ext_sent, rapid_data_sent, rapid_digital_sent : values sent to external axes and to RAPID, or None.
-    wake_ns : latency from the arrival of the packet, stamped by the kernel if possible, to the running loop [ns]; -1 if
+    wake_ns : latency from packet arrival (kernel timestamp, if available) to the wake-up of the loop [ns]; -1 if
         unknown.
     """
 
@@ -118,7 +118,7 @@ class Slot:
 
 
 class RowLayout:
-    """Layout of the rows of one arm: the standard columns and the columns declared in `extra`.
+    """Row layout of one arm: the standard columns and those declared in `extra`.
 
     `pack` encodes a State, a Command (or None) and a Tick as one row. None and empty values count as missing.
     """

@@ -51,7 +51,7 @@ class SplicedRows:
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row [ns]; without rows the largest value, so that an empty file sets no clock."""
+        """Wall-clock time of the first row [ns]; without rows, the largest value, so an empty file sets no clock."""
         return self._wall(0) if self.rows.kept.any() else _NEVER
 
     @property
@@ -76,13 +76,13 @@ class SplicedRows:
         wanted = kept[(t >= start) & (t < stop)]
         if len(wanted) == 0:
             self._first, self._last = 0, 0
-        else:  # messages before the first row of the table belong to the first row, later ones to the last row
+        else:  # messages before the first table row belong to that row, and later messages to the last row
             self._first = int(wanted[0]) if wanted[0] > kept[0] else 0
             self._last = int(wanted[-1]) + 1 if wanted[-1] < kept[-1] else len(self.rows.t)
         self.inside = self._first == 0 and self._last > 0
 
     def follow(self, first: SplicedRows, before: SplicedRows) -> None:
-        """Convert the rows to the clock of the first recording, and number them after the previous recording."""
+        """Convert the rows to the clock of the first recording, and number them after those of the previous one."""
         self.t, self.t0_ns = self.rows.t + (self.rows.t0_ns - first.t0_ns) / 1e9, first.t0_ns
         own, last = self.t[self.rows.kept], before.t[before.rows.kept]
         if len(own) and len(last) and own[0] <= last[-1]:
@@ -148,7 +148,7 @@ class Source:
         self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
-        """Return the messages for the new file: the message if it is selected, and for a row also the message of its t.
+        """Return the messages for the new file: the message, if selected, and for a row also the message with its t.
 
         Messages between the first and the last selected row, and earlier parameter values, are selected.
         """
@@ -204,7 +204,7 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
 
 
 def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
-    """Return the name, numbered if other content has the same name; None if the content is already present."""
+    """Return the name, with a number if other content has the same name; None if the content is already present."""
     stem, dot, ending = name.partition(".")
     number, own = 1, name
     while own in known:
@@ -233,7 +233,7 @@ def _summary(sources: list[Source], operation: str) -> dict[str, Any]:
 
 
 def _holes(source: Source) -> list[list[Any]]:
-    """Return the gaps between the selected rows: first and last tick, row count, new number of the first row, robot."""
+    """Return the gaps between selected rows: first and last tick, row count, new number of the first row, robot."""
     found = []
     for first, last, rows, *more in summary_of(source.view, source.found).get("holes", []):
         begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
@@ -257,12 +257,12 @@ def cut(
     """Write the segment start <= t < stop of a recording to a finished file, and return its path.
 
     ``log.read(cut(path, to, a, b)).sha256 == log.read(path).between(a, b).sha256``: `t` is not shifted, and no value
-    is converted. Metadata, attachments and the events between the rows are kept. The parameter history is kept from
-    the beginning, so that all parameter values are known.
+    is converted. Metadata, attachments and the events between the rows are kept. The parameter history is kept from the
+    beginning, so all parameter values are known.
 
     Parameters
     ----------
-    path : a recording, finished or not; each of several robots is cut on its own clock.
+    path : finished or unfinished recording; if it has several robots, each is cut on its own clock.
     to : the new file, with the extension .mcap; an existing file is replaced atomically.
     start, stop : seconds of the table.
     robot : select the rows and events of one robot; default: all robots.
@@ -271,8 +271,8 @@ def cut(
     Raises
     ------
     LogError : the file is not an armlab recording or has no rows in the segment, or the output cannot be written.
-    UnknownName : unknown robot.
-    ConfigError : an extension other than .mcap, or stop <= start.
+    UnknownName : the robot is unknown.
+    ConfigError : the extension is not .mcap, or stop <= start.
     """
     path, to = Path(path), recording_path(to)
     if not start < stop:
@@ -293,13 +293,13 @@ def cut(
 def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | None = None) -> Path:
     """Merge several recordings into one, and return its path.
 
-    Recordings of one robot are joined in the order of their wall clocks; gaps between them remain, as in `concat`. A
-    column that one recording lacks is missing in the rows of that recording. Recordings of robots that ran
-    simultaneously, such as both arms of a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
+    Recordings of one robot are joined in wall-clock order; gaps between them remain, as in `concat`. Columns absent
+    from a recording are missing values in its rows. Recordings of robots that ran simultaneously, such as both arms of
+    a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
 
     Parameters
     ----------
-    paths : two or more recordings, finished or not.
+    paths : two or more finished or unfinished recordings.
     to : the new file, with the extension .mcap; an existing file is replaced atomically.
     progress : called with (bytes done, total bytes, what).
 
@@ -307,7 +307,7 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
     ------
     LogError : a file is not an armlab recording, or the output cannot be written. Recordings of one robot overlap, or
         have different robot descriptions or incompatible columns with the same name. Robots did not run simultaneously.
-    ConfigError : fewer than two files, or an extension other than .mcap.
+    ConfigError : fewer than two files are given, or the extension is not .mcap.
     """
     to = recording_path(to)
     if len(paths) < 2:
@@ -398,7 +398,7 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
                     f"Expected the same type, units and joint names on {channel.topic} in all recordings, but "
                     f"{source.path} differs from {where}."
                 )
-        for arm in source.arms:  # the column t is stored, because its times may differ from those of the messages
+        for arm in source.arms:  # column t is stored because its times may differ from the message times
             topic = column_topic("t")
             pairs = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")})
             pairs |= clock_metadata(arm.t0_ns, arm.rows.clock)
@@ -410,7 +410,7 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
 
 
 def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) -> int:
-    """Copy the messages chunk by chunk in time order; return the number of corrupt chunks."""
+    """Copy the messages chunk by chunk in chronological order; return the number of corrupt chunks."""
     total, done, lost = sum(len(source.view) for source in sources), 0, 0
     for source, piece in _in_order(sources):
         data = records_at(source.view, source.found, piece)
@@ -428,7 +428,7 @@ def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) 
 
 
 def _in_order(sources: list[Source]) -> Iterator[tuple[Source, Any]]:
-    """Yield the chunks in time order, but keep the order within each file and for each robot."""
+    """Yield the chunks in chronological order, preserving the order within each file and for each robot."""
     latest: dict[str, int] = {}
     keyed = []
     for source in sources:

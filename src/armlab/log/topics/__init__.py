@@ -1,3 +1,3 @@
-"""Topic-based logs of other programs: MCAP, rosbag2 and ROS 1 bags."""
+"""Topic-based logs from other programs: MCAP, rosbag2 and ROS 1 bags."""
 
 __all__ = []

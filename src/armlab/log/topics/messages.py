@@ -1,4 +1,4 @@
-"""Messages in logs of other programs, by topic: ROS 2 (MCAP and SQLite), ROS 1, JSON and protobuf."""
+"""Messages by topic in logs from other programs: ROS 2 (MCAP and SQLite), ROS 1, JSON and protobuf."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _collect_protobuf(message: Any, path: str, found: Numbers, depth: int) -> No
         return
     for member in message.DESCRIPTOR.fields:
         there, value = f"{path}.{member.name}" if path else member.name, getattr(message, member.name)
-        is_list = hasattr(value, "__len__") and not isinstance(value, str | bytes)  # older API of protobuf
+        is_list = hasattr(value, "__len__") and not isinstance(value, str | bytes)  # older protobuf API
         several = getattr(member, "is_repeated", is_list)
         if member.type == _PROTOBUF_MESSAGE and several and not isinstance(value, Mapping):
             for index, inner in enumerate(value[:_MAX_NAMES]):
@@ -152,7 +152,7 @@ _TYPES = {  # strings, images, point clouds, maps
 
 @dataclass(slots=True)
 class TopicMessages:
-    """Content of the topics of a log: names, messages, skipped topics, and notes on damage."""
+    """Topics of a log: names, messages, skipped topics, and notes on damage."""
 
     fields: dict[str, TopicFields] = field(default_factory=dict)
     parts: dict[str, list[decode.Decoded]] = field(default_factory=dict)
@@ -181,7 +181,7 @@ class TopicMessages:
 
 
 def is_measurement(type_: str) -> bool:
-    """Return whether messages of a type contain numerical data about the robot."""
+    """Return whether messages of this type contain numerical robot data."""
     return type_ not in _TYPES and type_.partition("/")[0] not in _PACKAGES
 
 
@@ -272,7 +272,7 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
     if isinstance(connection.ext, ConnectionExtRosbag1):
         converter = get_typestore(Stores.EMPTY)
         held = {**converter.fielddefs, **get_types_from_msg(definition.data, name)}
-        if _HEADER in held:  # its field seq does not exist in ROS 2
+        if _HEADER in held:  # ROS 2 headers have no field seq
             held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
         converter.register(held)
         fields = {one: [(key, _signed(about)) for key, about in entry[1]] for one, entry in held.items()}

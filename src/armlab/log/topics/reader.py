@@ -1,4 +1,4 @@
-"""Reader for logs of other programs: selects topics, and converts their streams to tables."""
+"""Reader for logs from other programs, which selects topics and converts their streams to tables."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from armlab.log.topics.streams import JOINTS, Stream, rate_text, stem, streams_o
 from armlab.robots import Robot
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-_SAME_RATE = 0.01  # largest relative difference of rates that count as equal
-_ANOTHER_CLOCK = 1.0  # s, difference in recording delay that indicates header stamps from another clock
+_SAME_RATE = 0.01  # maximum relative difference between rates that count as equal
+_ANOTHER_CLOCK = 1.0  # s, a larger difference in recording delay indicates header stamps from another clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Choice:
 
 
 def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, notes: Sequence[str]) -> Table:
-    """Return the table of several streams; values are held between messages, and extra columns give their age."""
+    """Return the table of several streams; values are held between messages, with their age in extra columns."""
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
         raise LogError(
@@ -74,7 +74,7 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
     try:
         table = _table(rows, named, notes, choice.raw)
     except ArmlabError as error:
-        raise LogError(f"Expected supported columns in {path}, got invalid columns: {error}") from None
+        raise LogError(f"Expected valid columns in {path}, got an error: {error}") from None
     return table if choice.columns is None else table.select(*choice.columns)
 
 
@@ -89,7 +89,7 @@ def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> 
         try:
             tables[name] = _table(own[0], own, notes, choice.raw)
         except ArmlabError as error:
-            raise LogError(f"Expected supported columns in {path}, got invalid columns: {error}") from None
+            raise LogError(f"Expected valid columns in {path}, got an error: {error}") from None
     return tables
 
 
@@ -210,7 +210,7 @@ def _rows(path: Path, streams: Sequence[Stream], clock: str | None) -> Stream:
     if any(abs(one.rate - order[0].rate) > _SAME_RATE * order[0].rate for one in several):
         raise LogError(
             f"Expected topics with the same rate in {path}, got several rates: {rate_text(streams)}. Select the topic "
-            f"whose stamps are the rows, for example clock={order[0].topic!r}, or read columns of one topic, "
+            f"whose stamps define the rows, for example clock={order[0].topic!r}, or read columns of one topic, "
             f"columns={list(order[0].values)}."
         )
     return order[0]
@@ -247,7 +247,7 @@ def _joined(table: Table, other: Stream, stamps: np.ndarray, rows: np.ndarray) -
     if other.topic.endswith("/tf_static"):  # valid at all times
         stamps = np.minimum(stamps, table.t0_ns)
     order = np.argsort(stamps, kind="stable")
-    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # of messages with equal stamps, the last is kept
+    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # among messages with equal stamps, the last is kept
     values: Mapping[str, np.ndarray] = {name: array[order] for name, array in other.values.items()}
     t = (stamps[order] - table.t0_ns) / 1e9
     return table.join(Table(t, values, columns, t0_ns=table.t0_ns))
@@ -257,7 +257,7 @@ Wanted = Callable[[str, str], bool]
 
 
 def is_foreign(path: Path) -> bool:
-    """Return whether a path is a log of another program: a bag, or an MCAP file not written by armlab."""
+    """Return whether a path is a log from another program: a bag, or an MCAP file not written by armlab."""
     kind = format_at(path)
     if kind == "MCAP":
         with opened(path) as view, naming(path):
@@ -267,7 +267,7 @@ def is_foreign(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """Content of a log: its topics and unfinished files, with the options including the robot."""
+    """Content of a log: its topics and unfinished files, and the options, including the robot."""
 
     files: Sequence[Path]
     choice: Choice
@@ -276,7 +276,7 @@ class _Held:
 
 
 def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
-    """Return the table of a log of another program: an MCAP file, a rosbag2 or a ROS 1 bag."""
+    """Return the table of a log from another program: an MCAP file, a rosbag2 or a ROS 1 bag."""
     held = _held(path, choice, robot, progress)
     streams, notes = _streams(held.topics)
     reason = held.topics.left_out.get(choice.clock or "")
@@ -290,7 +290,7 @@ def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress
 
 
 def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> Table:
-    """Return q (and qd and tau if available) of an arm in a log of another program, in the joint order of the arm."""
+    """Return an arm's q (and qd and tau if available) from another program's log, in the joint order of the arm."""
     for columns in (["q", "qd", "tau"], ["q", "tau"], ["q", "qd"]):
         with suppress(UnknownName):
             return read_foreign(path, Choice(columns), robot, progress)
@@ -300,7 +300,7 @@ def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> T
 def read_topics(
     path: str | Path, *, robot: Robot | str | None = None, progress: Progress | None = None
 ) -> dict[str, Table]:
-    """Return the topics of a log of another program one by one, each on its own clock from t = 0 at the first message.
+    """Return the individual topics of another program's log, each on its own clock with t = 0 at the first message.
 
     Columns are named as in `read`, except that the columns of every JointState are q, qd and tau. Transforms or joints
     that share a topic but are not published together become separate tables. The notes of each table list damage in the
@@ -314,8 +314,8 @@ def read_topics(
 
     Raises
     ------
-    LogError : the file is in another format, or corrupt beyond use.
-    UnknownName : unknown robot.
+    LogError : the file is in another format, or too corrupt to read.
+    UnknownName : the robot is unknown.
     """
     path = Path(path)
     if format_at(path) not in ("MCAP", *BAGS):

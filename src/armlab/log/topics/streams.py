@@ -1,8 +1,8 @@
 """Column names for the numbers in ROS messages (joints, wrenches, poses, frames), and streams of columns from topics.
 
 The messages of a topic become fields (N, k) by dotted name (`mcap.decode`), and the fields become columns of a `Table`.
-At any depth of a message, a Wrench becomes one column (N, 6), and a Pose or Transform one column of matrices (N, 4, 4).
-A JointState becomes position, velocity and effort by joint; all other fields keep their dotted names.
+At any nesting depth, a Wrench becomes one column (N, 6), and a Pose or Transform one column of matrices (N, 4, 4). A
+JointState becomes position, velocity and effort by joint; all other fields keep their dotted names.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _POSES = {
 _HEADER = "std_msgs/msg/Header"
 _MARKED = {JOINTS, _HEADER, "std_msgs/msg/MultiArrayLayout", *_SIX, *_POSES}
 _TRANSFORMS = "geometry_msgs/msg/TransformStamped"
-_LENGTH = 1e-3  # accepted error of a quaternion's norm
-_BYTES = 64  # longest byte array that is a measurement instead of an image
+_LENGTH = 1e-3  # tolerance on the norm of a quaternion
+_BYTES = 64  # longer byte arrays are images, not measurements
 _INDEX = re.compile(r"\[[^\]]*\]")
 
 
@@ -205,8 +205,8 @@ def _frame(topic: TopicFields, prefix: str) -> str:
             return frame or ""
 
 
-_NAMELESS = ("data", "value")  # only fields of std_msgs types, whose names have no meaning
-_WALL = 10**18  # ns, in 2001: later stamps come from a wall clock
+_NAMELESS = ("data", "value")  # single fields of std_msgs types, whose names are meaningless
+_WALL = 10**18  # ns, in 2001: later stamps are wall-clock times
 _PAIR = re.compile(r"^(?P<list>[^\[]*)\[(?P<parent>[^\]>]*)>(?P<child>[^\]]*)\]\.transform$")
 
 

@@ -17,8 +17,8 @@ from armlab.motion.primitive.run import rotation
 
 FEWEST = 3  # minimum number of samples
 LISTED = 10  # largest number of row numbers in a message
-REVERSAL = 1e-3  # fraction of the displacement: smaller steps back are not a reversal
-PAUSE = 0.05  # fraction of the duration: shorter standstills are not a pause
+REVERSAL = 1e-3  # fraction of the displacement above which a step back is a reversal
+PAUSE = 0.05  # fraction of the duration above which a standstill is a pause
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
 SPACINGS = ("time", "phase")
 SCALINGS = ("goal", "none", "amplitude", "rotate")
-ROUNDING = 1e-12  # relative to the largest value in a demonstration: smaller motion of a coordinate is rounding
+ROUNDING = 1e-12  # motion of a coordinate, relative to the largest value, below which it is rounding
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
 
-UNSCALED = 0.05  # fraction of the demonstrated range: with less displacement, the goal does not scale a coordinate
+UNSCALED = 0.05  # displacement, relative to the demonstrated range, up to which the goal does not scale a coordinate
 
 
 def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[float, float]:

@@ -52,8 +52,8 @@ def fit_dmp(
     """Fit a movement primitive to one or several demonstrations.
 
     "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and the free ends. The problem is linear and needs no
-    derivatives of measurements; with schedule "position", it is solved by Gauss-Newton steps. "acceleration" minimises
-    ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` by central differences.
+    derivatives of measurements; with schedule "position", it is solved by Gauss-Newton. "acceleration" minimises
+    ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` from central differences.
     "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``. For the last two methods,
     the covariance assumes white residuals of f, which does not hold in practice. Several demonstrations share the
     weights, but each demonstration keeps its own duration, start and goal.
@@ -63,16 +63,16 @@ def fit_dmp(
     t, y : (N,) increasing times [s] and (N, n) positions [rad or m]; or lists of such arrays, one per demonstration.
     method : "trajectory", "acceleration" or "lwr".
     n_basis : number of kernels, 3 to 1000.
-    schedule : schedule of the phase: "canonical", "time", or "position" for motions without reversals or pauses.
+    schedule : phase schedule: "canonical", "time", or "position" for motions without reversals or pauses.
     spacing : "time": kernels equally spaced in time; "phase": spaced as in DynamicMovementPrimitives.jl.
     scaling : scaling of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
     convention : choice of alpha_x and tau_d: "lund" or "ijspeert".
-    alpha_z, beta_z : constants of the spring; default of beta_z: alpha_z / 4, for critical damping.
+    alpha_z, beta_z : spring constants; default of beta_z: alpha_z / 4, for critical damping.
     ridge : penalty on the squared weights; `cov` covers the noise, not the bias of the penalty.
-    pin : those of "y0", "v0" and "g" that are taken from the first and last samples, not fitted. A free goal
-        is hardly separable from the forcing.
-    hold : duration of standstill at the goal after the end, divided by the duration of the motion; 0 if the motion does
-        not end at rest. Only for "trajectory".
+    pin : names among "y0", "v0" and "g" that are taken from the first and last samples instead of fitted. A free goal
+        can hardly be separated from the forcing.
+    hold : standstill time at the goal after the end, divided by the duration of the motion; 0 if the motion does not
+        end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.
     sample_weights : (N,) non-negative sample weights, or a list of such arrays.
     bandwidth : bandwidth of the smoothed derivatives [Hz], for "acceleration" and "lwr" with uniform times.
@@ -171,7 +171,7 @@ def _limits(limits: Any, n: int) -> np.ndarray | None:
 
 
 def _check_monotone(demos: list[Demo]) -> None:
-    """Raise if a coordinate is not monotone, so that its position is not a phase."""
+    """Raise an error if a coordinate is not monotone; its position cannot serve as a phase."""
     for k, demo in enumerate(demos):
         which = f" of demonstration {k}" if len(demos) > 1 else ""
         for i in range(demo.y.shape[1]):
@@ -190,7 +190,7 @@ def _check_monotone(demos: list[Demo]) -> None:
 
 
 def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion) -> Dmp:
-    """Return the fitted primitive, with the least-squares fit of the start velocity to all demonstrations."""
+    """Return the fitted primitive, with a start velocity fitted to all demonstrations by least squares."""
     scales, demos = problem.scales, problem.demos
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)

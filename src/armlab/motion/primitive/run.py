@@ -21,7 +21,7 @@ HALF_TURN = 1e-6  # sine below which opposite directions have no unique smallest
 FORCINGS = ("shift", "scale")
 BRAKE = 1.05  # factor on the peak acceleration of the demonstration
 
-LONGEST = 1e4  # time constants, each of which takes the solver one or two steps
+LONGEST = 1e4  # maximum run time in time constants; each takes the solver one or two steps
 
 
 class RunOptions(TypedDict, total=False):
@@ -162,7 +162,7 @@ def _many_runs(dmp: Equation, parts: dict[str, np.ndarray], shape: tuple[int, ..
 
 
 def check_goal(dmp: Equation, g: np.ndarray) -> None:
-    """Raise if a goal is outside the limits of the primitive."""
+    """Raise an error if a goal is outside the limits of the primitive."""
     if dmp.limits is None:
         return
     low, high = dmp.limits
@@ -214,7 +214,7 @@ class Stepper:
 
     It is equivalent to `Dmp.rollout`, but step sizes may vary, and the goal and duration may change. A filtered goal
     follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled with the filtered goal. After a goal change, a
-    brake enforces ``v^2 <= 2 a |goal - y|`` as long as possible, and keeps y on the same side of the goal.
+    brake enforces ``v^2 <= 2 a |goal - y|`` where possible, and keeps y on the same side of the goal.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ class Stepper:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start, with the first goal and duration."""
+        """Return to the start and restore the initial goal and duration."""
         run = self._run
         self._t, self._goal = 0.0, run.g
         self._kernel.start(run.y0, run.v0, run.g, run.scale, run.tau)

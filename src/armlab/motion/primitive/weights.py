@@ -342,7 +342,7 @@ def gauss_newton(
     return w, inverses, y - run(w[None])[:, 0]
 
 
-BLOCK = 8  # columns reflected together; fastest for about fifty columns
+BLOCK = 8  # LAPACK block size; fastest for about fifty columns
 RCOND = 1e-11  # relative singular value below which a direction is set to zero
 
 
@@ -372,7 +372,7 @@ def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
 def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
     """Solve as `solve` does, but in place.
 
-    `joined` (rows, p + q), in Fortran order, holds A in its top left corner and zeros elsewhere; it is overwritten.
+    `joined` (rows, p + q), in Fortran order, contains A in its top left corner and zeros elsewhere; it is overwritten.
     """
     p = joined.shape[1] - b.shape[1]
     joined[: len(b), p:] = b
@@ -382,7 +382,7 @@ def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = N
     factor = np.triu(geqrt(min(BLOCK, *joined.shape), joined, overwrite_a=True)[0][: joined.shape[1]])
     R, rotated, left = factor[:p, :p], factor[:p, p:], factor[p:, p:]
     squares = np.einsum("ij,ij->j", left, left)
-    norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; reflections scale with their column
+    norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # column norms of A; scaling a column of A scales that column of R
     scale = np.where(norms > 0, norms, 1.0)
     scaled = R / scale
     if trcon(scaled)[0] > RCOND:

@@ -1,4 +1,4 @@
-"""Read URDF text into a `Tree`: XML elements with line numbers, without document types, entities or included files."""
+"""URDF reader: builds a `Tree`, keeps line numbers, and rejects document types, entities and xacro."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armlab.robots.robot import Mesh
 from armlab.robots.urdf.tree import Follow, Joint, JointKind, Link, Tree
 
 MOST_PARTS = 2000  # links or joints per file; a humanoid with two hands has 150
-LARGEST = 1e9  # limits of at least this value mean unlimited; elsewhere, such numbers are rejected
+LARGEST = 1e9  # limits of at least this value mean unlimited; other numbers of this size are rejected
 
 DEEPEST = 64  # nesting of elements; URDF needs 5
 MOST_BYTES, MOST_ELEMENTS = 1 << 24, 100_000  # a humanoid with two hands has 200 kB and 3000
@@ -180,7 +180,7 @@ def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, flo
 
 @dataclass(slots=True)
 class Element:
-    """Element with tag, attributes, line and children; its readers raise `RobotError` with file and line."""
+    """XML element; its readers raise `RobotError` with file and line."""
 
     tag: str
     attributes: dict[str, str]
@@ -218,7 +218,7 @@ class Element:
         return value
 
     def numbers(self, name: str, count: int, default: tuple[float, ...] | None = None) -> np.ndarray:
-        """Return `count` space-separated numbers, or the default (if any) for a missing attribute."""
+        """Return `count` space-separated numbers; for a missing attribute, return the default if there is one."""
         if name not in self.attributes and default is not None:
             return np.array(default)
         words = self.text(name).split()
@@ -247,7 +247,7 @@ class Element:
 
 
 def parse_xml(data: str | bytes, file: str) -> Element:
-    """Return the root element of a text of limited size and depth, without document types, entities or xacro."""
+    """Return the root element of XML of limited size and depth; reject document types, entities and xacro."""
     if len(data) > MOST_BYTES:
         raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")
     parser = expat.ParserCreate()

@@ -67,8 +67,8 @@ class Joint:
     parent, child : names of the connected links.
     T_parent_child : (4, 4) pose of the child, and of the joint, in the parent at q = 0.
     axis : (3,) direction of the axis in the child's frame, of any length.
-    q_min, q_max : position limits [rad or m]; infinite without a limit, 0 where a required limit is missing.
-    qd_max, tau_max : limits of speed and of torque (or force); infinite where unknown.
+    q_min, q_max : position limits [rad or m]; infinite if unlimited, 0 if a required limit is missing.
+    qd_max, tau_max : speed and torque (or force) limits; infinite if unknown.
     follows : mimic relation, or None.
     line : first line of the element in the file.
     damping, friction : viscous and Coulomb friction; 0 where unknown.
@@ -103,7 +103,7 @@ class Mimic:
 
     Attributes
     ----------
-    names : the m free joints. Free joints may lie outside the chain.
+    names : the m free joints, which may lie outside the chain.
     matrix : (n, m) multipliers.
     offset : (n,) offsets.
     """
@@ -184,7 +184,7 @@ class Tree:
 
     @cached_property
     def tips(self) -> tuple[str, ...]:
-        """Links at the ends of the moving branches, with no joint below and a non-fixed joint above."""
+        """Links at the ends of the moving branches: no joint below, and at least one moving joint above."""
         return self.tips_below(self.root)
 
     def tips_below(self, base: str) -> tuple[str, ...]:
@@ -216,16 +216,17 @@ class Tree:
         name: str | None = None,
         lock: Mapping[str, float] | None = None,
     ) -> Robot:
-        """Return the serial arm between two links; the path may lead upwards through the tree.
+        """Return the serial arm between two links; the path may go up the tree.
 
         The base frame is that of the link `base`; the flange frame is that of `tip`. Fixed joints are merged, as are
-        the inertias and meshes of all links rigidly attached to a link of the arm. Branches on other moving joints are
-        omitted, with a warning that states their mass. The home posture is a non-singular posture near the middle of
-        all ranges. Gravity is `GRAVITY` in the axes of the root. A joint traversed from child to parent rotates about
-        the opposite axis, so that the sign of its position stays the same. A mimic joint keeps its own position; see
-        `mimic`. A speed or effort of 0 means unknown, and a limit of 1e9 or more means unlimited. An inertia that
-        violates the triangle inequality is used, and an inertia without a mass is omitted, each with a warning.
-        `Robot.source` lists all assumptions and omissions.
+        the inertias and meshes of all rigidly attached links. Other moving branches are omitted; a warning states their
+        mass. A mimic joint keeps its own position; see `mimic`.
+
+        The home posture is a non-singular posture near mid-range. Gravity is `GRAVITY` in the axes of the root. The
+        axis of a joint traversed from child to parent is reversed, which preserves the sign of its position. A speed or
+        effort of 0 means unknown, and a limit of 1e9 or more means unlimited. An inertia that violates the triangle
+        inequality is used, and an inertia without a mass is omitted, each with a warning. `Robot.source` lists all
+        assumptions and omissions.
 
         Parameters
         ----------
@@ -367,7 +368,7 @@ def _check_roots(tree: Tree) -> None:
 
 
 def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, float, float]:
-    """Return the free joint that a joint ultimately mimics (or the free joint itself), with factor and offset."""
+    """Return the free joint at the end of a joint's mimic relations (or the joint itself), with factor and offset."""
     multiplier, offset, passed = 1.0, 0.0, {joint.name}
     while joint.follows is not None:
         follows = joint.follows
@@ -384,7 +385,7 @@ def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, fl
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Joint on the path, traversed downwards or upwards, and the links rigidly attached behind it."""
+    """Joint on the path, traversed downwards or upwards, with the links rigidly attached behind it."""
 
     joint: Joint
     # pose of the joint's armlab frame, z along the axis, in the frame of the previous joint, or in the base
@@ -528,7 +529,7 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
 
 
 def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
-    """Return gravity in base axes, for an upright root and joints above the base at 0, and this assumption as text."""
+    """Return gravity in base axes, and the assumption behind it as text: upright root, joints above the base at 0."""
     R, moving = np.eye(3), []
     for joint in _ancestry(tree, base):
         R = joint.T_parent_child[:3, :3] @ R

@@ -5,8 +5,8 @@ Leapfrog steps, with positions and velocities half a step apart, keep the stiff 
     v_k = v_{k-1/2} + a_{k-1} h/2,   M a_k = tau - C v_k - G - F_f + J^T F,   v_{k+1/2} = v_{k-1/2} + a_k h,
     q_{k+1} = q_k + v_{k+1/2} h
 
-A packet reports the start of the last step of its period, which satisfies the equation of motion exactly. The sensors
-add elastic gears (compliance c), delay d, noise, quantisation and gains g (see `Mismatch`)::
+A packet reports the state at the start of the last step of its period, which satisfies the equation of motion exactly.
+The sensors add elastic gears (compliance c), delay d, noise, quantisation and gains g (see `Mismatch`)::
 
     q   = g_q  round(q + c tau_link),         tau_link = tau - F_f - rotor qdd, torque through the gear
     tau = g_tau round(tau_{k-d} + noise)
@@ -24,7 +24,7 @@ Integration stops while the torque is saturated. The drive receives position and
 
 Friction (LuGre): between reversals, the bristle force f relaxes with distance. For constant v within a step, the exact
 solution is ``f' = s g + (f - s g) exp(-(c / delta) |dq| / g)`` with ``g = c (1 + (ratio - 1) exp(-(v / vs)^2))``, s the
-sign of v, and c the Coulomb friction in that direction. The torque against motion also contains ``viscous v + offset +
+sign of v, and c the Coulomb friction in that direction. The friction torque also contains ``viscous v + offset +
 ripple sin(cycles q + phase)``.
 
 `WornFriction` also depends on temperature, load and time, each controlled by a parameter of `Mismatch`::
@@ -99,7 +99,7 @@ class JointDrives:
         bias: np.ndarray,
         out: np.ndarray,
     ) -> np.ndarray:
-        """Write the torque of this step [N m] to `out` and return it; a share of the true `bias` is fed forward."""
+        """Write the torque of this step [N m] to `out` and return it; a fraction of the true `bias` is fed forward."""
         tau, gain_q, gain_qd = self._added
         error = gain_q * (POSITION_GAIN * (q_ref - q)) + gain_qd * qd_ref - gain_qd * qd
         growth = error * (self._rate * gain_q)
@@ -141,7 +141,7 @@ class JointFriction:
         self.bristle[:] = (self.bristle - sliding) * np.exp(dq * sign * self._rate / ratio) + sliding
 
     def torque(self, q: np.ndarray, qd: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Write the friction torque against motion [N m], including ripple, to `out` and return it."""
+        """Write the friction torque opposing motion [N m], including ripple, to `out` and return it."""
         truth = self._truth
         ripple = truth.ripple * np.sin(q * truth.ripple_cycles + self._phase)
         out[:] = qd * self._viscous + self.bristle + self._offset + ripple
@@ -150,7 +150,7 @@ class JointFriction:
 
 WARM_TIME = 720.0  # s
 DRIFT = 2.0 * np.pi / 100.0  # rad/s, frequency of the offset drift
-WARM_SPEED = 0.25  # share of the speed limit at which friction warms the drive to state x = 1
+WARM_SPEED = 0.25  # fraction of the speed limit at which friction warms the drive to state x = 1
 
 
 class WornFriction(JointFriction):
@@ -171,7 +171,7 @@ class WornFriction(JointFriction):
         self._swing, self._time = draw(mismatch, "offset_drift", 2, len(coulomb)) * truth.tau_max, 0.0
 
     def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
-        """Advance the bristles by `dq` [rad] at velocity `qd` [rad/s], and warm the drives."""
+        """Advance the bristles by `dq` [rad] at velocity `qd` [rad/s] and warm the drives."""
         self._mean = self._cold + self._of_load * np.abs(self._load)
         self._time += self._step
         angle = DRIFT * self._time
@@ -189,8 +189,8 @@ class TrueState:
     """Exact state at one instant. Packets contain only the drives' torque command and `tau_gravity`.
 
     `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) drive torque, joint side [N m]. `tau_friction`:
-    (n,) friction and ripple, against motion. `tau_gravity`: (n,) feedforward of the drives. `q_ref`: (n,) reference of
-    the drives. `wrench`: (6,) wrench by the environment on the robot, base axes, at the tool point.
+    (n,) friction and ripple, opposing motion. `tau_gravity`: (n,) feedforward of the drives. `q_ref`: (n,) reference of
+    the drives. `wrench`: (6,) wrench exerted by the environment, base axes, at the tool point.
     `T_base_tool`: (4, 4).
     """
 
@@ -266,7 +266,7 @@ class SimulatedArm:
 
     Parameters
     ----------
-    robot : robot description, of which the frames, gravity and home posture are used.
+    robot : robot description; only its frames, gravity and home posture are used.
     truth : synthetic parameters.
     period : time between two packets [s].
     q : (n,) initial joint positions [rad or m]; default: the robot's home.
@@ -319,7 +319,7 @@ class SimulatedArm:
         self._body = RigidBody(self.built.chain, robot.gravity, truth.pi, np.diag(truth.rotor))
         self._still = np.zeros(robot.n)
         self._q, self._qd, self._bias, self._applied = np.zeros((4, robot.n))
-        self._half = np.zeros(robot.n)  # velocity half a step earlier
+        self._half = np.zeros(robot.n)  # velocity, half a step earlier
         self._qdd = np.zeros(robot.n)
         self._dq, self._tau, self._tau_friction, self._load = np.zeros((4, robot.n))
         self._sensors = Sensors(truth, mismatch, period, seed)
@@ -361,7 +361,7 @@ class SimulatedArm:
         Parameters
         ----------
         q_ref, qd_ref : (n,) reference of the drives at the end of the period [rad or m, and per s].
-        wrench : (6,) wrench by the environment on the robot, base axes, at the tool point [N, N m]; None: no contact.
+        wrench : (6,) wrench exerted by the environment, base axes, at the tool point [N, N m]; None: no contact.
         """
         steps, share = self.steps, 1.0 / self.steps
         q, qd, dq = self._q_ref.copy(), self._qd_ref.copy(), (q_ref - self._q_ref) * share
@@ -454,7 +454,7 @@ class LaggingArm:
         self._report(moved / self.period, q_ref)
 
     def measure(self) -> SensorReading:
-        """Return position and velocity, and NaN torques."""
+        """Return position, velocity and NaN torques."""
         return SensorReading(self._q, self.sample.qd, self._unknown)
 
     def _report(self, qd: np.ndarray, q_ref: np.ndarray) -> None:
@@ -471,16 +471,16 @@ def record(
     ----------
     arm : the arm, which is placed at the start of the motion; its noise sequence continues.
     motion : reference of the drives.
-    wrench : function of the times (N,) [s] that returns the wrenches (N, 6) by the environment on the robot, base axes,
-        at the tool point [N, N m].
+    wrench : function of the times (N,) [s] that returns the wrenches (N, 6) exerted by the environment, base axes, at
+        the tool point [N, N m].
     seed : seed for the time-stamp jitter and the lost samples.
 
     Raises
     ------
-    ConfigError : the jitter is half a period or more, which could reverse the order of the times.
-    ShapeError : the motion has the wrong number of joints, or the wrench has a wrong shape.
+    ConfigError : the jitter is half a period or more, which could reverse the order of the time stamps.
+    ShapeError : the motion has the wrong number of joints, or the wrench has the wrong shape.
     """
-    from armlab.log import Table  # lazy: `armlab sim` starts without it
+    from armlab.log import Table  # lazy import, because `armlab sim` does not need it
 
     mismatch, period, n = arm.mismatch, arm.period, arm.robot.n
     if not mismatch.jitter < period / 2:

@@ -1,7 +1,7 @@
 """`Mismatch`: differences between the simulated arm and its description; all are 0 by default.
 
 Errors per joint, link or axis are uniformly distributed between minus and plus the parameter. Each parameter has its
-own random stream, so that changing it does not affect the errors of the others.
+own random stream, so changing one parameter does not affect the errors of the others.
 
     geometry   base_turn, base_shift, link_length, joint_zero: frames of the simulated arm, not of its description
     dynamics   mass, centre, payload, friction, saturation: parameters of the bodies and drives
@@ -56,11 +56,11 @@ class Mismatch(Shown):
     friction : float
         Relative error of each joint's friction: Coulomb, static and viscous.
     saturation : float
-        Relative loss of each drive's torque range.
+        Relative reduction of each drive's torque range.
     warm_up : float
-        Relative loss of viscous friction in a warm drive; time constant 12 minutes, cold at the start.
+        Relative reduction of viscous friction in a warm drive; time constant 12 minutes, cold at the start.
     load_friction : float
-        Largest increase of a joint's Coulomb friction per unit of torque transmitted to its link.
+        Maximum increase of a joint's Coulomb friction per unit of torque transmitted to its link.
     ripple_jump : float
         Phase jump of the torque ripple when a joint reverses [rad].
     elasticity : float
@@ -77,17 +77,17 @@ class Mismatch(Shown):
     quantisation : float
         Relative increase of the quantisation steps of position and torque; 1 doubles them.
     jitter : float
-        Largest error of a time stamp in a recording [s].
+        Maximum time-stamp error in a recording [s].
     lost : float
         Probability that a sample is missing in a recording.
     offset_drift : float
-        Amplitude of each joint's offset drift (period 100 s) as a share of the torque limit.
+        Amplitude of each joint's offset drift (period 100 s) as a fraction of the torque limit.
     seed : int
         Seed of all errors.
 
     Raises
     ------
-    ConfigError : a value is negative or not finite, or a share is 1 or more.
+    ConfigError : a value is negative or not finite, or a relative value is 1 or more.
     """
 
     base_turn: float = 0.0
@@ -125,7 +125,7 @@ class Mismatch(Shown):
 
 
 def draw(mismatch: Mismatch, name: str, *shape: int) -> np.ndarray:
-    """Return errors uniform between minus and plus the parameter; every call returns the same errors."""
+    """Return errors uniformly distributed between minus and plus the parameter, the same in every call."""
     return float(getattr(mismatch, name)) * _random(mismatch, name).uniform(-1.0, 1.0, shape)
 
 
@@ -190,7 +190,7 @@ def load_share(mismatch: Mismatch, n: int) -> np.ndarray:
 
 
 def position_gain(mismatch: Mismatch, n: int) -> np.ndarray:
-    """Return the ratio (n,) of reported to true position of each joint, due to the ratio and sign of the gears."""
+    """Return the ratio (n,) of reported to true position of each joint, due to gear ratio and sign."""
     gain = 1.0 + draw(mismatch, "gear_ratio", n)
     gain[_random(mismatch, "gear_sign").permutation(n)[: int(mismatch.gear_sign)]] *= -1.0
     return gain

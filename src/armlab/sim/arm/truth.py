@@ -40,7 +40,7 @@ class Truth(Shown):
     tau_step : quantisation of the torque measurement [N m].
     q_step : quantisation of the position measurement [rad].
     qd_noise : standard deviation of the velocity measurement [rad/s].
-    feedforward : share of gravity and Coriolis torques that the drives feed forward.
+    feedforward : fraction of gravity and Coriolis torques that the drives feed forward.
     """
 
     pi: np.ndarray
@@ -74,7 +74,7 @@ class Truth(Shown):
             object.__setattr__(self, field.name, value)
 
     def without(self, *effects: str) -> Truth:
-        """Return the truth without some effects.
+        """Return the truth without the given effects.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ _SIZES = {
 
 
 def _invented(robot: Robot) -> _Sizes | None:
-    """Return the invented sizes of a library robot whose description has no masses."""
+    """Return the invented parameters of a library robot without masses in its description, otherwise None."""
     sizes = _SIZES.get(robot.name)
     return sizes if sizes and robot.inertias is None and len(sizes.mass) == robot.n else None
 
@@ -173,10 +173,10 @@ def no_masses(robot: Robot) -> str:
 
 
 def synthetic_truth(robot: Robot) -> Truth:
-    """Return the synthetic truth, with masses from the description and drives in proportion to its torque limits.
+    """Return the synthetic truth: masses from the description, and drive parameters proportional to its torque limits.
 
     A few library robots without inertias have invented masses. The torque limit of a joint without an effort limit is
-    three times the torque that holds the outstretched arm. Values in `Robot.drives` replace the proportions.
+    three times the torque that holds the outstretched arm. Values in `Robot.drives` take precedence.
 
     Parameters
     ----------
@@ -241,11 +241,11 @@ ROTOR_ACCELERATION = 100.0  # rad/s^2 or m/s^2: acceleration of the drive alone 
 GEAR, SPINDLE = 100.0, 600.0  # default transmission ratios: gear, and spindle with 10 mm lead [rad/m]
 HOLDING = 3.0  # ratio of the torque limit to the torque that holds the outstretched arm
 SHORTEST_LEVER = 0.02  # m
-WEAKEST = 0.05  # ratio of the smallest to the largest holding torque assumed
+WEAKEST = 0.05  # assumed minimum ratio of a holding torque to the largest
 
 
 def _torque_limits(robot: Robot) -> np.ndarray:
-    """Return the limits (n,) of torque or force; default: three times the torque that holds the outstretched arm."""
+    """Return the torque or force limits (n,); default: three times the torque that holds the outstretched arm."""
     if np.isfinite(robot.tau_max).all() or robot.inertias is None:
         return robot.tau_max
     mass, g = robot.inertias[:, 0], max(float(np.linalg.norm(robot.gravity)), 9.8)

@@ -1,4 +1,4 @@
-"""`UdpClient`: UDP client of one motion task; `Faults`: seeded faults of its datagrams in each direction."""
+"""`UdpClient`: UDP client of one motion task; `Faults`: seeded random faults in each direction."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from armlab.sim.controller.settings import FaultRates
 from armlab.wire.egm.robot_side import SensorMessage
 
 _LARGEST = 65535
-_DRAINED = 64  # most datagrams read per cycle, even in a flood
+_DRAINED = 64  # maximum number of datagrams read per cycle, even in a flood
 _SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; Python's socket module lacks the constant
-_LOOK = 0.25  # s between two checks of whether to keep waiting
+_LOOK = 0.25  # s between checks whether to keep waiting
 _FIRST = 0.5  # s to wait for the first reply to a stream, after which the peer counts as a listener
 _REFUSED_PAUSE = 0.05  # s before a packet is resent to a port that is not bound yet
 
@@ -78,7 +78,7 @@ class UdpClient:
         datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
         if self._outgoing is not None:
             datagrams = self._outgoing.through(datagrams, controller.uptime)
-        # newest first, so that a peer answers only one datagram, whenever it reads
+        # newest first, so a peer answers only one datagram, no matter when it reads
         datagrams = sorted(datagrams, key=lambda item: -item[0])
         self._awaited = False
         if self._packet is not None:
@@ -138,7 +138,7 @@ class UdpClient:
         return _FIRST if first else self.controller.arm.period
 
     def _receive(self, data: bytes) -> bool:
-        """Process one received datagram; return whether it is the reply that lockstep waits for."""
+        """Process one received datagram; return whether it is the reply for which lockstep waits."""
         if self._incoming is not None:
             self._arrived.append((self._arrival, data))
             message = self.controller.inbox.read(data, count=False)
@@ -151,14 +151,14 @@ class UdpClient:
         return not message.tm_ms or message.tm_ms == self._expected
 
     def _deliver(self) -> None:
-        """Pass on the datagrams that the faults release in this cycle."""
+        """Deliver the datagrams that the faults release in this cycle."""
         if self._incoming is not None:
             for stamp, datagram in self._incoming.through(self._arrived, self.controller.uptime):
                 self.controller.accept(datagram, max(stamp, 0))
             self._arrived.clear()
 
     def _put(self, datagram: bytes) -> None:
-        """Send a datagram; try again if the first attempt only reports that an earlier datagram was refused."""
+        """Send a datagram; retry if the first attempt only reports that an earlier datagram was refused."""
         self._refused = False
         for _ in range(2):
             try:
@@ -190,7 +190,7 @@ class UdpClient:
 
 
 CORRUPTED = -1
-"""Sequence number that stands for a corrupted datagram."""
+"""Sequence number of a corrupted datagram."""
 
 _NEVER_VALID = 0x07  # an invalid first byte of a protobuf message
 
@@ -244,7 +244,7 @@ class Faults:
         return True
 
     def _spoil(self, data: bytes) -> bytes:
-        """Truncate the datagram and overwrite some bytes, so that it is invalid."""
+        """Truncate the datagram and overwrite some bytes to make it invalid."""
         spoiled = bytearray(data[: max(1, int(self._random.integers(len(data) + 1)))] or b"\0")
         spoiled[self._random.integers(len(spoiled))] = int(self._random.integers(256))
         spoiled[0] = _NEVER_VALID

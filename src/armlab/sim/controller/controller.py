@@ -1,14 +1,15 @@
 """`SimulatedController`: one motion task of the simulated robot controller, without sockets.
 
 Each cycle follows ABB (3HAC073318-001, section 2.3): build and send the packet, take at most one message from a FIFO
-queue, and move. Without a message, the last reference holds, including its speed. The reply to a packet takes effect in
-the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, which an event reports after 1 s.
+queue, and move. Without a message, the last reference stays in effect, including its speed. The reply to a packet takes
+effect in the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, reported after 1 s by an
+event.
 
 Phases: ``streaming`` (packets report STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
 ``paused`` (no packets) -> the next session or ``over``. Guidance returns to streaming when the motors or RAPID stop.
 
-`ReplyQueue` matches replies with packets by the sequence number that the research extension echoes, else by the `tm` of
-the header, else by order. Matching by order is correct only if the peer answers every packet. If several packets share
+`ReplyQueue` matches replies to packets by the sequence number echoed in the research extension, else by `tm` in the
+header, else by order. Matching by order is correct only if the peer answers every packet. If several packets share
 a millisecond, `tm` refers to the oldest unanswered packet.
 """
 
@@ -33,7 +34,7 @@ from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessa
 from armlab.wire.egm.types import StandingQueue
 
 EPOCH_NS = 1_500_000_000_000_000_000
-"""Start of the robot's clock [ns], constant so that every run sends the same bytes."""
+"""Start of the robot's clock [ns]; constant, so every run sends the same bytes."""
 
 OPTIONAL_FIELDS = {
     "tm": "tm_ms",
@@ -48,11 +49,11 @@ OPTIONAL_FIELDS = {
 }
 """Optional fields of EgmRobot: names on the wire, and fields of `RobotMessage`."""
 
-_UPTIME_MS = 10_000  # tm of the first packet; an echoed 0 would look like "no tm"
+_UPTIME_MS = 10_000  # tm of the first packet; an echoed 0 would mean "no tm"
 
 
 class PacketBuilder:
-    """Encoder of EgmRobot messages, sent `phase` seconds behind the robot's clock.
+    """Encodes EgmRobot messages, which are sent `phase` seconds after the start of a cycle.
 
     For RobotWare 7, `torque_reference` sends the drive torque as torqueRef, and `data` is the number of RAPID data
     values sent back in addition to the digital value.
@@ -163,7 +164,7 @@ class ReplyQueue:
         self._queue: deque[tuple[SensorMessage, int | None]] = deque()
         self._sent: deque[Sent] = deque(maxlen=QUEUE_LENGTH)
         self._standing = StandingQueue()
-        self._ordered = -1  # packet answered by the last reply without an echo
+        self._ordered = -1  # number of the packet answered by the last reply without an echo
         self._last_seqno: int | None = None
 
     def note(self, sent: Sent) -> None:
@@ -171,7 +172,7 @@ class ReplyQueue:
         self._sent.append(sent)
 
     def stamp(self, nanoseconds: int, uptime: float) -> None:
-        """Set the send time of the newest packet, and count the previous packet as missed if it has no reply."""
+        """Set the send time of the newest packet; count the previous packet as missed if it has no reply."""
         if self._sent:
             self._sent[-1].stamp_ns = nanoseconds
         if len(self._sent) > 1 and self._sent[-2].guiding and not self._sent[-2].answered:
@@ -222,7 +223,7 @@ class ReplyQueue:
         return message
 
     def standing(self) -> str:
-        """Return a message if the queue has not been empty for 1 s, else ""; called once per cycle."""
+        """Return a warning if the queue has not been empty for 1 s, otherwise ""; called once per cycle."""
         return self._standing.after(len(self._queue), self._period)
 
     def _find(self, message: SensorMessage) -> tuple[str, Sent | None]:
@@ -366,7 +367,7 @@ class SimulatedController:
         self.cycle += cycles
 
     def lose_peer(self) -> None:
-        """End the session like CommTimeout; for lockstep, in which robot time stops while the peer is silent."""
+        """End the session as CommTimeout would; for lockstep, because robot time stops while the peer is silent."""
         if self.phase in _MCI:
             self._no_data()
 
@@ -485,7 +486,7 @@ class SimulatedController:
         self._enter("failing")
 
     def _no_data(self) -> None:
-        if self._answered or self.session == 1:  # without a peer this repeats
+        if self._answered or self.session == 1:  # without a peer, this would repeat
             self._event(*_NO_DATA)
         self._answered = False
         self._enter("paused")

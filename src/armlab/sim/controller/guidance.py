@@ -1,7 +1,7 @@
 """Reference generation from messages: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
 
 The reference generator follows ABB (3HAC073318-001, section 2.3); its filter is our own model
-(docs/theory/simulated_arm.md). Pose and path modes are intended for tests of codecs: the goal is the inverse-kinematics
+(docs/theory/simulated_arm.md). Pose and path modes are intended for codec tests: the goal is the inverse-kinematics
 solution nearest to the planned joint positions. A path correction shifts the initial tool position along y and z of the
 tool.
 """
@@ -23,7 +23,7 @@ _OVERSHOOT = 0.02  # rad: largest filter overshoot beyond a limit
 
 
 class Guidance:
-    """Reference generator: `q` and `qd` (n,) for the drives, and the required share of the speed limits [%]."""
+    """Reference generator: `q` and `qd` (n,) for the drives, and the speed `utilization` it requires [%]."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -67,7 +67,7 @@ class Guidance:
         self.q, self.qd, self.utilization = q, qd, 0.0
 
     def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
-        """Set the reference of the joints in `free` to the measured position, so that control resumes smoothly."""
+        """Set the reference of the joints in `free` to the measured position, so control resumes smoothly."""
         self.q = np.where(free, q, self.q)
 
     def brake(self) -> None:
@@ -77,7 +77,7 @@ class Guidance:
         self.utilization = 0.0
 
     def violation(self) -> str:
-        """Return a description of the limit that the reference violates, or an empty string."""
+        """Return which limit the reference violates, or an empty string."""
         outside = self._outside(self.q, _OVERSHOOT)
         far = np.abs(self.q - self._start) > self._settings.max_deviation
         if outside.any():
@@ -87,7 +87,7 @@ class Guidance:
         return ""
 
     def refusal(self, q_ref: np.ndarray) -> str:
-        """Return a description of the joint whose received reference is out of bounds, or an empty string."""
+        """Return which joint's received reference is out of bounds, or an empty string."""
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 
@@ -101,7 +101,7 @@ class Guidance:
         return f"joint {i + 1} ({self._robot.joint_names[i]})"
 
     def near(self, q_ref: np.ndarray | None) -> bool:
-        """Return whether the reference has arrived within the convergence window of `q_ref`."""
+        """Return whether the reference is within the convergence window around `q_ref`."""
         window = self._settings.window
         return window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= window).all())
 
@@ -111,7 +111,7 @@ _FASTEST = 1.0  # rad/s
 
 
 class ExternalAxes:
-    """At most six external axes from 0 rad, limited to 1 rad/s: ``q += T k (q_ref - q)`` with the controller's gain."""
+    """Up to six external axes, initially at 0 rad and limited to 1 rad/s: ``q += T k (q_ref - q)``, k the gain."""
 
     def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
@@ -204,7 +204,7 @@ class ReferenceDecoder:
             drive.assist(self.tau, self.gain_q, self.gain_qd)
 
     def release(self) -> None:
-        """Restore the drive's own gains, without added torque."""
+        """Restore the default drive gains and remove the added torque."""
         n = self._robot.n
         self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
 

@@ -1,4 +1,4 @@
-"""Robot Web Services of the simulated controller: `VirtualController` keeps its state, `RwsServer` answers HTTP.
+"""Robot Web Services of the simulated controller: `VirtualController` keeps its state, `RwsServer` serves HTTP.
 
 RobotWare 6 uses RWS 1.0 (digest authentication, JSON with ``?json=1``); RobotWare 7 uses RWS 2.0 (TLS, basic
 authentication, ``application/hal+json;v=2.0``). Resources and return codes follow public documents and programs; see
@@ -81,7 +81,7 @@ class Rejected(Exception):
 
 @dataclass
 class _Task:
-    """One motion task: its modules and the state of its EGM session."""
+    """Motion task with its modules and the state of its EGM session."""
 
     name: str
     device: str
@@ -89,7 +89,7 @@ class _Task:
     is_active: bool = True
     has_pointer: bool = False
     runs: bool = False
-    egm: bool = False  # set up since the program pointer was at main
+    egm: bool = False  # whether EGM was set up since the program pointer was set to main
 
 
 class _Live(StateScript):
@@ -485,7 +485,7 @@ _AS_RESOURCES = (_tasks, _devices, _interfaces, _events, _files)  # RWS 2.0 embe
 
 
 class RwsServer:
-    """HTTP interface of a `VirtualController` on 127.0.0.1, in its own threads; RWS 2.0 needs a TLS context."""
+    """HTTP interface of a `VirtualController` on 127.0.0.1, in its own threads; RWS 2.0 requires a TLS context."""
 
     def __init__(
         self, box: VirtualController, port: int, user: str, password: str, tls: ssl.SSLContext | None = None

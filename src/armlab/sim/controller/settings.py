@@ -108,7 +108,7 @@ class ControllerSettings:
     activated: Literal["joint", "pose", "path"] | None = None
 
     def __post_init__(self) -> None:
-        """Validate the ranges, and set the default period of the mode."""
+        """Validate the ranges and set the default period of the mode."""
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise UnknownName.among(
@@ -127,7 +127,7 @@ class ControllerSettings:
 
     @classmethod
     def abb_defaults(cls) -> ControllerSettings:
-        """Return ABB's default settings, with a very low speed and sessions that end when the robot stands still."""
+        """Return ABB's default settings, with a very low speed and sessions that end when the robot is at rest."""
         return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
 
 
@@ -150,7 +150,7 @@ class FaultRates:
     pause : tuple
         START,LENGTH in robot time [s]: datagrams sent in this interval arrive at its end.
     burst : int
-        Length of loss bursts in datagrams; `loss` remains the overall share of lost datagrams.
+        Length of loss bursts in datagrams; `loss` remains the overall fraction of lost datagrams.
     until : float
         Robot time at which faults end [s].
 

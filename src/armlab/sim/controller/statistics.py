@@ -11,7 +11,7 @@ import numpy as np
 from armlab.wire.egm import Drop
 
 _WARM_UP = 1.0  # s; excluded from the timing statistics, because a peer's first replies may be slow
-_KEPT = 100_000  # number of latest times from which quantiles are computed
+_KEPT = 100_000  # number of latest times used to compute quantiles
 
 
 class ControllerEvent(NamedTuple):
@@ -133,7 +133,7 @@ class EventLog:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a session, in which each kind of drop is reported again."""
+        """Begin a session, in which each kind of dropped datagram is reported again."""
         self._told: set[str] = set()
 
     def tell(self, uptime: float, number: int, text: str) -> None:
@@ -144,7 +144,7 @@ class EventLog:
             self._on_event(event)
 
     def drop(self, uptime: float, drop: Drop, data: bytes) -> None:
-        """Count an invalid datagram, and report the first of its kind."""
+        """Count an invalid datagram and report the first of its kind."""
         self._statistics.drops[drop.reason] += 1
         if drop.reason not in self._told:
             self._told.add(drop.reason)

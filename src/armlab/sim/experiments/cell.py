@@ -19,7 +19,7 @@ from armlab.sim.experiments.sensors import CAMERA, MovingSights, Poses, Scanned,
 
 @dataclass(frozen=True, repr=False)
 class CalibrationCell(Shown):
-    """Calibration experiments with known ground truth, drawn by one method each.
+    """Calibration experiments with known ground truth, one method per experiment.
 
     An experiment contains the recorded data, the ground truth, and `given`, the arguments for the matching fit.
 
@@ -46,7 +46,7 @@ class CalibrationCell(Shown):
         ----------
         run : number of the experiment.
         N : number of poses.
-        tilt : largest tilt of the tool from a fixed orientation [rad]; None: any orientation.
+        tilt : maximum tilt of the tool from a fixed orientation [rad]; None: any orientation.
         camera : noise of B (position [m], rotation [rad]).
         robot : noise of A (position [m], rotation [rad]); None: exact.
         wrong : number of outliers: the first marker poses are rotated by 10 degrees and moved by 50 mm.
@@ -80,8 +80,8 @@ class CalibrationCell(Shown):
         run : number of the experiment.
         N : number of poses.
         sigma : noise of each coordinate [m].
-        missing : share of missing points.
-        robot : noise of the robot's poses (position [m], rotation [rad]); None: exact.
+        missing : fraction of missing points.
+        robot : noise of the robot poses (position [m], rotation [rad]); None: exact.
         """
         return sensors.seen_points([self.seed, run], N, sigma, missing, robot)
 
@@ -97,18 +97,18 @@ class CalibrationCell(Shown):
         bias: bool = True,
         contacts: int = 0,
     ) -> Weighed:
-        """Draw tool orientations RA and readings y of a force sensor that carries 1 kg.
+        """Draw tool orientations RA and readings y of a force sensor with a load of 1 kg.
 
         Parameters
         ----------
         run : number of the experiment.
         N : number of samples.
         sigma : noise of the forces [N].
-        tilt : largest tilt of the tool from a fixed orientation [rad]; None: any orientation.
+        tilt : maximum tilt of the tool from a fixed orientation [rad]; None: any orientation.
         torque : noise of the torques [N m]; None: forces only.
-        unknown : whether to draw a random direction of gravity.
+        unknown : whether to draw a random gravity direction.
         bias : whether to draw a sensor bias.
-        contacts : number of samples with a contact force of 20 N, at the beginning.
+        contacts : number of initial samples with a contact force of 20 N.
         """
         return sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
 
@@ -139,7 +139,7 @@ class CalibrationCell(Shown):
         ----------
         run : number of the experiment.
         N : number of samples.
-        truth : "lpoe" for errors in every frame of the arm, "dh" for errors in every number of its DH table.
+        truth : "lpoe" for errors in every frame of the arm, "dh" for errors in every DH parameter.
         tool : whether the nominal tool is offset from the flange.
         harmonics : whether to add joint errors of orders 1 and 2 with amplitudes of about 0.02 deg.
         wrong : number of outliers: the first poses are rotated by 2 degrees and moved by 20 mm.
@@ -153,7 +153,7 @@ class CalibrationCell(Shown):
         return kinematics.kinematic_run(run, self.seed, N, truth, tool, harmonics, wrong)
 
     def distances(self, run: int = 0, N: int = 120) -> DistanceRun:
-        """Draw the arm of `kinematics` with an anchor point and its distances from the tool, with 0.05 mm of noise.
+        """Draw an anchor point and its distances from the tool of the arm in `kinematics`, with 0.05 mm of noise.
 
         Parameters
         ----------
@@ -200,14 +200,14 @@ class CalibrationCell(Shown):
         run : number of the experiment.
         N : number of samples.
         period : period of the sensor [s].
-        jitter : standard deviation of e [s], cut at 0.4 periods.
+        jitter : standard deviation of e [s]; e is limited to 0.4 periods.
         """
         e = jitter * np.random.default_rng([self.seed, run]).standard_normal(N)
         return period * np.arange(N) + np.clip(e, -0.4 * period, 0.4 * period)
 
 
 def cell(seed: int) -> CalibrationCell:
-    """Return the calibration cell of a seed.
+    """Return the calibration cell for a seed.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def cell(seed: int) -> CalibrationCell:
 
     Raises
     ------
-    ConfigError : a negative seed.
+    ConfigError : the seed is negative.
 
     Examples
     --------

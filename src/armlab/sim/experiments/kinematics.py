@@ -1,7 +1,7 @@
-"""Kinematic calibration experiments with known ground truth, drawn in the order of the code.
+"""Kinematic calibration experiments with known ground truth; reordering the code changes the random numbers.
 
 The arm is an IRB 2400 with a perturbed DH table or perturbed frames, measured by poses, distances or a second arm. The
-truth is computed frame by frame, independently of the kernels that the fits use.
+truth is computed frame by frame, independently of the kernels used by the fits.
 """
 
 from __future__ import annotations
@@ -108,12 +108,12 @@ def moved(arm: LocalArm, shifts: np.ndarray, turns: np.ndarray) -> LocalArm:
 
 
 def noisy(T: np.ndarray, rng: np.random.Generator, noise: tuple[float, float] = NOISE) -> np.ndarray:
-    """Return poses with noise (m, rad); the noise of all rotations is drawn first."""
+    """Return poses with noise (m, rad); the rotation noise is drawn first."""
     return sensors.noisy(rng, T, noise)
 
 
 def perturbed(rng: np.random.Generator, truth: str, tool: bool) -> LocalArm:
-    """Return the true arm: "lpoe" perturbs every frame, "dh" every number of the table."""
+    """Return the true arm: "lpoe" perturbs every frame, "dh" every DH parameter."""
     if truth == "dh":
         e = rng.standard_normal((6, 4)) * [0.1 * DEGREE, 5e-4, 5e-4, 0.1 * DEGREE]
         return dh_arm((OFFSET + e[:, 0], D + e[:, 1], A + e[:, 2], ALPHA + e[:, 3]), tool)
@@ -169,7 +169,7 @@ def distance_run(run: int, seed: int = 2300, n: int = 120) -> DistanceRun:
 
 
 def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float, length: float) -> np.ndarray:
-    """Return poses of which the first are outliers, rotated and shifted in random directions."""
+    """Return poses with outliers: the first `wrong` poses are rotated and shifted in random directions."""
     pose = pose.copy()
     for T in pose[:wrong]:
         u, v = (w / np.linalg.norm(w) for w in rng.standard_normal((2, 3)))

@@ -1,8 +1,8 @@
 """Sensor experiments with known ground truth: hand-eye at rest and in motion, force sensor, accelerometer, scanner.
 
-Random numbers are drawn in the order of the code. The line scanner hits plates e_j.x = 1 within 0.2 m. Scans are drawn
-in batches; their distribution, but not each sample, follows the specification. Scans nearly parallel to a plate, which
-the fit would reject, are drawn again.
+Reordering the code changes the random numbers. The line scanner hits plates e_j.x = 1 within 0.2 m. Scans are drawn in
+batches, so their distribution follows the specification, but individual samples do not. Scans nearly parallel to a
+plate are drawn again, because the fit would reject them.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Sights:
 
 
 def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return random rotations (count, 3, 3), uniformly distributed."""
+    """Return uniformly distributed random rotations (count, 3, 3)."""
     q = rng.standard_normal((count, 4))
     return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
 
@@ -73,7 +73,7 @@ def tilted(rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
 
 
 def noisy(rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
-    """Return poses (N, 4, 4) with noise (m, rad); the noise of all rotations is drawn first."""
+    """Return poses (N, 4, 4) with noise (m, rad); the rotation noise is drawn first."""
     R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
     return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
 
@@ -149,8 +149,8 @@ class MovingSights:
 
 
 def moving_sights(seed: Any, looked: np.ndarray) -> MovingSights:
-    """Return both recordings of a smooth motion of an IRB 2400, with images at the times `looked` (N,) [s]."""
-    from armlab.log import Column, Table  # lazy: `armlab sim` starts without it
+    """Return both recordings of a smooth IRB 2400 motion, with images at the times `looked` (N,) [s]."""
+    from armlab.log import Column, Table  # lazy import, because `armlab sim` does not need it
 
     rng, robot = np.random.default_rng(seed), load("irb2400")
     frequency, phase = rng.uniform(SLOW, FAST, robot.n), rng.uniform(-np.pi, np.pi, robot.n)
@@ -256,7 +256,7 @@ FLATTEST = 0.06  # sine of the angle between plate and laser plane
 
 @dataclass(frozen=True, eq=False)
 class Scanned:
-    """Scans of plates, and the ground truth: sensor pose X, normals n, offsets d, and scans without noise."""
+    """Scans of plates, and the ground truth: sensor pose X, normals n, offsets d, and noise-free scans."""
 
     A: np.ndarray
     scans: np.ndarray

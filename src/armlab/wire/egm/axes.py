@@ -19,7 +19,7 @@ from armlab.wire.egm.types import Drop, RobotAxes
 RADIAN = pi / 180.0
 _MILLIMETRE = 1e-3
 _UNITS = {"deg": RADIAN, "mm": _MILLIMETRE}
-_HEAD = 6  # EgmJoints holds at most six values; further axes of the robot are sent as external joints
+_HEAD = 6  # EgmJoints contains at most six values; further axes of the robot are sent as external joints
 
 
 class Refused(Exception):
@@ -137,7 +137,7 @@ class Linkage:
         return _changed(message, self._to_joints, self._torque_to_joints)
 
     def to_axes(self, message: Message) -> Message:
-        """Convert a message to send from joints to axes."""
+        """Convert an outgoing message from joints to axes."""
         return _changed(message, self._to_axes, self._torque_to_axes)
 
 
@@ -148,7 +148,7 @@ def _changed(message: Message, motion: np.ndarray, torque: np.ndarray) -> Messag
 
 
 def _times(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the product, in which a NaN affects only the values that depend on it."""
+    """Return the matrix product, in which a NaN affects only the values that depend on it."""
     with np.errstate(invalid="ignore", over="ignore"):
         product = np.where(matrix, matrix * values, 0.0).sum(axis=1)
     product.flags.writeable = False

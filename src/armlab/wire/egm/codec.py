@@ -40,7 +40,7 @@ def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
 
 
 def read_pose(pose: Any, euler_wins: bool = False) -> tuple[float, ...] | None:
-    """Return x, y, z [mm] and u0 to u3 of an EgmPose, or None without position or orientation."""
+    """Return x, y, z [mm] and u0 to u3 of an EgmPose, or None if position or orientation is missing."""
     if euler_wins and pose.HasField("pos") and pose.HasField("euler"):
         x, y, z = (0.5 * RADIAN * angle for angle in (pose.euler.x, pose.euler.y, pose.euler.z))
         if not isfinite(x + y + z):
@@ -83,7 +83,7 @@ CORRECTION, PATH_CORRECTION = 3, 4  # message types
 UINT32 = 2**32 - 1
 KINEMATIC = 1  # joint order of the extension
 TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])  # SI per wire unit
-_MAX_SECONDS = 9_000_000_000  # later clocks overflow int64 nanoseconds and count as absent
+_MAX_SECONDS = 9_000_000_000  # later clocks would overflow int64 nanoseconds and count as absent
 
 
 class Details(NamedTuple):
@@ -95,14 +95,14 @@ class Details(NamedTuple):
     ----------
     q_ext_planned : (k,) the controller's reference for the external axes [rad or m].
     T_frame_planned : (4, 4) the controller's reference pose [m].
-    planned_ns : clock of the reference, nanoseconds since 1970.
+    planned_ns : time of the reference, nanoseconds since 1970.
     stamp_ns, planned_stamp_ns : IEEE 1588 timestamps of the feedback and of the reference [ns].
     move_index : index of the RAPID movement.
     collision : whether collision detection has triggered.
     collision_quota : (k,) collision detection quotas, as sent.
     force_control : whether force control is active (RobotWare 7); otherwise the force is the raw sensor reading.
     test_signals : (k,) test signals, as sent.
-    tau_total, tau_gravity : (n,) torque of the drives, and their feed-forward torque [N m]; research extension.
+    tau_total, tau_gravity : (n,) torque of the drives, and its feed-forward part [N m]; research extension.
     current : (n,) motor currents [A]; research extension.
     q_reference, qd_reference : (n,) references of the drives [rad, rad/s]; research extension.
     overruns : number of cycles missed by the controller; research extension.
@@ -150,7 +150,7 @@ class EgmCodec:
     ----------
     capabilities : frozenset of str
         "position", "velocity", "external_axes" and "rapid_data", unless a prismatic joint is among ABB's first six axes
-        and `units` is empty. With the extension also "measured_torque" and "torque".
+        and `units` is empty. With the extension, also "measured_torque" and, under the same condition, "torque".
     robotware : str
         RobotWare version of this session; "" before its first packet.
     """
@@ -229,7 +229,7 @@ class EgmCodec:
         return sensor.SerializeToString()
 
     def encode_path_correction(self, yz: Sequence[float], age: float, seq: int, tm_ms: int) -> bytes:
-        """Encode an EgmSensorPathCorr, for `EGMMoveL` and `EGMMoveC`; at most one per 24 ms takes effect.
+        """Encode an EgmSensorPathCorr, for `EGMMoveL` and `EGMMoveC`; at most one message per 24 ms takes effect.
 
         Parameters
         ----------

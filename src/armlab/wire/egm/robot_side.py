@@ -40,7 +40,7 @@ _WIRE_ARRAYS = {
 }
 
 EXTENSION_ARRAYS = tuple(_WIRE_ARRAYS)
-"""Arrays of EgmRIState by their names in `RobotMessage`, in the order of its fields 1 to 7."""
+"""Names in `RobotMessage` of the EgmRIState arrays, in the order of fields 1 to 7."""
 
 DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
 """Arrays sent by default."""
@@ -68,7 +68,7 @@ class RobotMessage(NamedTuple):
     rapid_data: Sequence[float] = ()
     rapid_digital: bool | None = None
     tau_reference: np.ndarray | None = None  # torqueRef (RobotWare 7, ABB axes 1 to 6 only)
-    qd: np.ndarray | None = None  # from here on: the extension, with the arrays configured in the codec
+    qd: np.ndarray | None = None  # this and the following fields: extension, with the arrays configured in the codec
     tau: np.ndarray | None = None
     tau_total: np.ndarray | None = None
     tau_gravity: np.ndarray | None = None
@@ -83,7 +83,7 @@ class RobotMessage(NamedTuple):
 
 
 class SensorMessage(NamedTuple):
-    """Decoded EgmSensor or EgmSensorPathCorr in SI units; missing fields are None, and NaN is passed on."""
+    """Decoded EgmSensor or EgmSensorPathCorr in SI units; missing fields are None, and NaN is kept."""
 
     seqno: int | None
     tm_ms: int | None
@@ -96,7 +96,7 @@ class SensorMessage(NamedTuple):
     path_age: float | None = None  # s
     rapid_data: np.ndarray | None = None
     rapid_digital: bool | None = None
-    tau: np.ndarray | None = None  # to `echo_seq`: the valid arrays and the echoes of the extension
+    tau: np.ndarray | None = None  # `tau` to `echo_seq`: valid arrays and echoes of the extension
     qd_reference: np.ndarray | None = None
     q_reference: np.ndarray | None = None
     gain_q: np.ndarray | None = None
@@ -111,7 +111,7 @@ class RobotSideCodec:
 
     RobotWare 6.06 sends angles in radians. `extension` lists the names of the `EXTENSION_ARRAYS` to send; True selects
     `DEFAULT_ARRAYS`. `force` states whether messages contain `wrench_raw`. `external` and `data` are the numbers of
-    external axes and of RAPID values.
+    external axes and RAPID values.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class RobotSideCodec:
         return robot.SerializeToString()
 
     def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
-        """Decode the sensor's message, or return the reason for dropping it. Never raises; NaN is passed on."""
+        """Decode the sensor's message, or return the reason for dropping it. Never raises; NaN is kept."""
         try:
             sensor = pb.EgmSensor.FromString(data)
             header = sensor.header
@@ -222,7 +222,7 @@ class RobotSideCodec:
         research.usedSeqno, research.queueDepth = message.used_seq & UINT32, message.queue_depth
 
     def _check_size(self, force: bool, external: int, data: int) -> None:
-        """Raise if the largest message of the configuration exceeds the buffers of other clients."""
+        """Raise an error if the largest message of the configuration exceeds the buffers of other clients."""
         axes = np.full(self._axes.n, 1.0)
         arrays: dict[str, Any] = dict.fromkeys(self._arrays, axes)
         worst = RobotMessage(

@@ -1,6 +1,6 @@
 """Inputs and outputs of the EGM codec in SI units and kinematic joint order.
 
-Named tuples are immutable and five times faster to create than frozen dataclasses, which matters in every cycle.
+Named tuples are used, because they are five times faster to create than frozen dataclasses.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ DROP_REASONS = (
     "foreign source",
     "duplicate",
     "old",
-    "after the end",
     "damaged",
 )
 """Reasons for dropping a datagram: the codec uses the first six, Zenoh the last one, and the session the others."""
@@ -35,7 +34,7 @@ class RobotAxes(Protocol):
 
     @property
     def prismatic(self) -> np.ndarray:
-        """(n,) True for linear joints."""
+        """(n,) True for prismatic joints."""
         ...
 
     @property
@@ -128,7 +127,7 @@ class Reference(NamedTuple):
     seq : sequence number of the reply.
     tm_ms : `tm` of the answered packet [ms], 0 if absent.
     robot_seq, robot_mono_ns : sequence number and clock of the answered packet, returned only with the extension.
-    free : whether the gains of the position loop are zero, for pure torque control.
+    free : whether the position-loop gains are zero, for pure torque control.
     beside : content for external axes and RAPID, or None.
     """
 
@@ -144,7 +143,7 @@ class Reference(NamedTuple):
 
 
 class Codec(Protocol):
-    """Plug-in interface of the bridge for sites that use another protocol: converts bytes to SI values and back.
+    """Plug-in interface of the bridge for protocols other than EGM: converts bytes to SI values and back.
 
     `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque", "external_axes", "rapid_data"}.
     `encode` may omit fields outside its capabilities, because the bridge refuses such commands.
@@ -153,7 +152,7 @@ class Codec(Protocol):
     capabilities: frozenset[str]
 
     def reset(self) -> None:
-        """Discard the detected properties of the robot, for a new session."""
+        """Discard the detected robot properties for a new session."""
         ...
 
     def decode(self, data: bytes) -> Packet | Drop:
@@ -165,11 +164,11 @@ class Codec(Protocol):
         ...
 
 
-_SECONDS = 1.0  # shorter queues are replies in transit
+_SECONDS = 1.0  # s: messages queued for less time are replies in transit
 
 
 class StandingQueue:
-    """Detector of a receive queue that stays non-empty for 1 s, in which each message delays references by a cycle."""
+    """Detects a receive queue that stays non-empty for 1 s; each queued message delays references by one cycle."""
 
     def __init__(self) -> None:
         self._seconds, self._least = 0.0, 0

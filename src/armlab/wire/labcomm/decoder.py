@@ -1,8 +1,8 @@
 """Decoder of LabComm streams.
 
-One generator walks over the stream and waits for missing bytes, so that the events do not depend on how the stream is
-split. A packet with a length is decoded once it is complete; a walk finds the end of a packet without a length (2013,
-2006, data of 2014old).
+A single generator walks through the stream and waits for missing bytes, so the events do not depend on how the stream
+is split. A packet with a length is decoded once it is complete. A walk finds the end of a packet without a correct
+length (2013, 2006, data of 2014old).
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ _BY_CODE = {prim.code: prim for prim in PRIMS.values()}
 
 @dataclass
 class SignatureWalk:
-    """Walker over one signature."""
+    """Walk over one signature."""
 
     source: Source
     dialect: Dialect
     limits: Limits
-    end: int  # upper bound of the end of the signature
-    type_refs: bool  # whether type indices may stand for types (TYPE_DEF)
+    end: int  # upper bound for the end of the signature
+    type_refs: bool  # whether type indices may replace types (TYPE_DEF)
     nodes: int = 0
 
     def number(self, pos: int) -> Number:
@@ -157,7 +157,7 @@ def definition(
     except Cut:
         if size is None:
             raise
-        raise _bad(declared, f"a complete signature of {size} bytes", "a longer one") from None
+        raise _bad(declared, f"a complete signature of {size} bytes", "a longer signature") from None
     if size is not None and pos != end:
         raise _bad(declared, f"a signature of {size} bytes", f"a signature that ends {end - pos} bytes earlier")
     return Definition(kind, index, name, tree, notes), pos
@@ -199,7 +199,7 @@ def _bad(offset: int, expected: str, got: str) -> LabCommError:
 
 
 HEADER = 10
-"""Maximum number of bytes of a tag and a length."""
+"""Maximum combined size of a tag and a length [bytes]."""
 
 _FIRST = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]}
 
@@ -242,7 +242,7 @@ def opening(
 
 
 def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None, None, tuple[str, int]]:
-    """Walk over VERSION; return its text, and the excess (0 or 1) of its declared length."""
+    """Walk over VERSION; return its text and the excess (0 or 1) of its declared length."""
     end = source.at + 2 * HEADER + limits.packet
     _, where = yield from number(source, source.at, end, wide=False)
     declared, begin = yield from number(source, where, end, wide=False)
@@ -263,7 +263,7 @@ def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None,
 
 @dataclass(eq=False)
 class Known:
-    """Sample type, and the reader of its values, which is created on first use."""
+    """Sample type and the reader of its values, created on first use."""
 
     index: int
     name: str
@@ -276,7 +276,7 @@ class Known:
 
 
 class Tables:
-    """Samples, references and types by index, and the readers of the samples."""
+    """Samples, references and types by index, with the readers of the samples."""
 
     def __init__(self, limits: Limits) -> None:
         self.kinds: dict[Kind, dict[int, SampleType]] = {"sample": {}, "ref": {}, "type": {}}
@@ -284,7 +284,7 @@ class Tables:
         self._limits, self._nodes = limits, 0
 
     def keep(self, event: Definition, offset: int) -> None:
-        """Store a definition, which replaces an earlier one with the same index."""
+        """Store a definition, which replaces an earlier definition with the same index."""
         table, entry = self.kinds[event.kind], SampleType(event.name, event.type)
         old = table.get(event.index)
         if old == entry:
@@ -319,7 +319,7 @@ class Decoder:
     Raises
     ------
     UnknownName : the dialect is unknown.
-    LabCommError : the dialect of a stream without VERSION is missing.
+    LabCommError : no dialect is given for a stream without VERSION.
     """
 
     refs: dict[int, SampleType]
@@ -327,7 +327,7 @@ class Decoder:
 
     def __init__(self, dialect: str = "auto", limits: Limits | None = None, require_version: bool = True) -> None:
         if dialect == "auto" and not require_version:
-            raise LabCommError('Expected a dialect for a stream without VERSION, got "auto". Give its name.')
+            raise LabCommError('Expected a dialect for a stream without VERSION, got "auto". Specify the dialect.')
         self._given = None if dialect == "auto" else dialect_named(dialect)
         self._dialect, self._undecided = self._given, False
         self._limits, self._require_version = limits or Limits.server(), require_version
@@ -348,7 +348,7 @@ class Decoder:
 
         Parameters
         ----------
-        data : the next bytes of the stream, any number of them.
+        data : the next bytes of the stream, of any length.
 
         Raises
         ------
@@ -393,7 +393,7 @@ class Decoder:
 
     @property
     def offset(self) -> int:
-        """Stream position of the incomplete packet, otherwise of the next packet."""
+        """Stream position of the incomplete packet or, if there is none, of the next packet."""
         return self._source.at
 
     def _run(self) -> Walk:
@@ -411,7 +411,7 @@ class Decoder:
     def _packets(self, dialect: Dialect) -> Walk:
         """Walk over packets with lengths until the dialect changes from 2014 to 2014i.
 
-        Most packets have the same type as the previous one: for a fixed size, comparing the packet heads is sufficient.
+        Most packets have the same type as the previous packet. If its size is fixed, comparing the heads is sufficient.
         """
         source, limits = self._source, self._limits
         buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)
@@ -458,7 +458,7 @@ class Decoder:
                 return
 
     def _whole(self, tag: int, known: Known | None, cursor: Cursor, offset: int, length: int) -> Event:
-        """Decode a complete packet, whose length is at `offset`; raise if bytes are left."""
+        """Decode a complete packet, whose length is at `offset`; raise an error if bytes remain."""
         cursor.end = cursor.at + length
         try:
             event = self._packet(tag, cursor) if known is None else self._sample(known, cursor)
@@ -469,7 +469,7 @@ class Decoder:
         return event
 
     def _packet(self, tag: int, cursor: Cursor) -> Event:
-        """Decode a complete packet other than data of a defined index."""
+        """Decode a complete packet other than data with a defined index."""
         if tag in _KINDS:
             return self._define(_KINDS[tag], cursor)
         if tag == TYPE_BINDING:
@@ -489,7 +489,7 @@ class Decoder:
         return Sample(known.index, known.name, known.read(cursor), known.type)
 
     def _define(self, kind: Kind, cursor: Cursor) -> Definition:
-        """Read a complete definition; the first one of an undecided stream distinguishes 2014 from 2014i."""
+        """Decode a complete definition; in an undecided stream, the first definition distinguishes 2014 from 2014i."""
         dialect = self._dialect or DIALECTS["2014"]
         start, end = cursor.base + cursor.at, cursor.base + cursor.end
         try:
@@ -526,7 +526,7 @@ class Decoder:
             try:
                 event, end = yield from definition(source, pos, pos + limits.packet, "sample", dialect, limits)
             except Cut:
-                raise _bad(start, f"a definition of at most {limits.packet} bytes", "a longer one") from None
+                raise _bad(start, f"a definition of at most {limits.packet} bytes", "a longer definition") from None
             self._tables.keep(event, pos)
             self._events.append(event)
             source.at = end
@@ -539,7 +539,7 @@ class Decoder:
         try:
             stop = yield from value_end(source, known.type, pos, pos + limits.packet, dialect.wide, limits)
         except Cut:
-            raise _bad(start, f"a value of at most {limits.packet} bytes", "a longer one") from None
+            raise _bad(start, f"a value of at most {limits.packet} bytes", "a longer value") from None
         yield from source.need(stop)
         cursor = Cursor(source.buf, limits, dialect.wide)
         cursor.base, cursor.at, cursor.end = source.base, pos - source.base, stop - source.base

@@ -76,7 +76,7 @@ class Encoder:
         return packet + write_packet(Binding(index, 0), self.dialect) if self._type_defs else packet
 
     def ref(self, sample: SampleType) -> bytes:
-        """Return the SAMPLE_REF of a type, so that values can refer to the type.
+        """Return the SAMPLE_REF of a type, which allows values to refer to the type.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class Encoder:
         return write_packet(Definition("ref", index, sample.name, sample.type), self.dialect)
 
     def ref_index(self, sample: SampleType) -> int:
-        """Return the value that refers to a type: the index of its SAMPLE_REF, or 0 without a SAMPLE_REF.
+        """Return the value that refers to a type: the index of its SAMPLE_REF, or 0 if it has none.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class Encoder:
 
         Parameters
         ----------
-        sample : a type that `define` has defined.
+        sample : a type already passed to `define`.
         value : a value as in `Sample`; NumPy arrays, and sample types as references, are also accepted.
 
         Raises

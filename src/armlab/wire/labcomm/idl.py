@@ -57,7 +57,7 @@ def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
     Parameters
     ----------
     text : declarations with at most 2**20 characters and 32 levels of nesting.
-    dialect : name of the dialect; only 2014i has notes, such as ``(unit:rad)``, and docs in quotation marks.
+    dialect : name of the dialect; only 2014i supports notes, such as ``(unit:rad)``, and quoted docs.
 
     Raises
     ------
@@ -187,12 +187,12 @@ class _Parser:
                 self._fail(after, '"," or "]"')
 
     def _notes(self) -> Notes:
-        """Parse notes; docs are skipped."""
+        """Parse notes; skip docs."""
         notes: dict[str, str] = {}
         while self._peek().text == "(" or self._peek().kind == "quoted":
             token = self._take()
             if not self._dialect.maps:
-                self._fail(token, "no notes, which only dialect 2014i has,")
+                self._fail(token, "no notes, which only dialect 2014i supports,")
             if token.kind == "quoted":
                 continue
             key = self._take()
@@ -270,12 +270,12 @@ def _notes(notes: Notes) -> str:
 
 
 FILES = ("armlab", "extctrl")
-"""Names of the files without extension."""
+"""File names without extension."""
 
 
 @cache
 def text(name: str) -> str:
-    """Return a declaration file supplied with armlab, for example for a LabComm compiler."""
+    """Return the text of a supplied declaration file, for example for a LabComm compiler."""
     data = pkgutil.get_data("armlab.wire.labcomm", f"idl/{name}.lc") if name in FILES else None
     if data is None:
         raise UnknownName.among("file of LabComm declarations", name, FILES)
@@ -284,5 +284,5 @@ def text(name: str) -> str:
 
 @cache
 def samples(name: str) -> dict[str, SampleType]:
-    """Return the samples of a declaration file supplied with armlab, by name."""
+    """Return the samples of a supplied declaration file by name."""
     return {one.name: one for one in parse_lc(text(name)) if isinstance(one, SampleType)}

@@ -14,7 +14,7 @@ Notes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Version of the format."""
+    """Version of the LabComm format."""
 
     name: str
     version: str  # announced text, "" for none
@@ -105,7 +105,7 @@ def _check_part(node: _Node, what: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Node:
-    """Common properties of types: fixed bytes, numbers of variable size, levels, nodes and values."""
+    """Common properties of types: counts of fixed bytes, variable-size numbers, levels, nodes and values."""
 
     size: int = field(init=False, compare=False, repr=False, default=0)
     numbers: int = field(init=False, compare=False, repr=False, default=1)
@@ -119,7 +119,7 @@ class _Node:
         return None if self.numbers else self.size
 
     def min_size(self, wide: bool) -> int:
-        """Return the minimum encoded size of a value in bytes; `wide`: each number takes 4 bytes."""
+        """Return the minimum encoded size of a value in bytes; with `wide`, each number takes 4 bytes."""
         return self.size + self.numbers * (4 if wide else 1)
 
     def signature(self, dialect: str = "2014v1") -> bytes:
@@ -144,7 +144,7 @@ class Prim(_Node):
 
 @dataclass(frozen=True, slots=True)
 class TypeRef(_Node):
-    """Reference to a type by its index, only in the signature of a TYPE_DEF."""
+    """Reference to a type by its index; occurs only in the signature of a TYPE_DEF."""
 
     index: int
 
@@ -207,7 +207,7 @@ class Struct(_Node):
 
 
 Type = Prim | Array | Struct | TypeRef
-"""Type, as a tree."""
+"""Type tree."""
 
 PRIMS = {name: Prim(name) for name in _CODES}
 """Primitive types by name."""

@@ -1,7 +1,7 @@
 """Decoding and encoding of LabComm values within limits.
 
-A walk is a generator that yields while bytes are missing. Positions and offsets of errors count from the start of the
-stream.
+A walk is a generator that yields while bytes are missing. Positions and error offsets are relative to the start of
+the stream.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from armlab.wire.labcomm.types import (
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a decoder, which raises an error before it allocates memory for a value beyond them.
+    """Limits of a decoder, which raises an error before it allocates memory for a value that exceeds them.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Limits:
     name : maximum number of bytes in a name.
     version : maximum number of bytes in a VERSION.
     dims : maximum number of dimensions of an array.
-    entries : maximum number of notes of a name.
+    entries : maximum number of notes per name.
     """
 
     packet: int
@@ -81,7 +81,7 @@ class Cut(Exception):
 
 
 class Source:
-    """Received bytes from the beginning of the current packet."""
+    """Received bytes, starting at the current packet."""
 
     def __init__(self) -> None:
         self.buf: bytearray = bytearray()
@@ -93,7 +93,7 @@ class Source:
         return self.base + len(self.buf)
 
     def add(self, data: bytes | bytearray | memoryview) -> None:
-        """Append bytes, and discard those before the current packet."""
+        """Append bytes and discard those before the current packet."""
         if self.at > self.base:
             del self.buf[: self.at - self.base]
             self.base: int = self.at
@@ -110,7 +110,7 @@ class Source:
 
 
 def number(source: Source, pos: int, end: int, wide: bool) -> Number:
-    """Walk over a number; `end` is an upper bound of the end of the body."""
+    """Walk over a number; `end` is an upper bound for the end of the body."""
     if wide:
         if pos + 4 > end:
             raise Cut
@@ -131,7 +131,7 @@ def number(source: Source, pos: int, end: int, wide: bool) -> Number:
 
 
 def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Generator[None, None, tuple[str, int]]:
-    """Walk over a string in strict UTF-8 that belongs to a name."""
+    """Walk over a string of a label, in strict UTF-8."""
     size, start = yield from number(source, pos, end, wide)
     if size > longest:
         raise LabCommError(f"Expected a name of at most {longest} bytes at byte {pos}, got {size}.", pos)
@@ -170,7 +170,7 @@ def label(
 
 
 class Size(NamedTuple):
-    """Size of a dimension, and the position where it was read."""
+    """Size of a dimension and the position where it was read."""
 
     size: int
     offset: int
@@ -280,7 +280,7 @@ Reader = Callable[[Cursor], Any]
 
 
 def reader(node: Type) -> Reader:
-    """Return the reader of a type's values."""
+    """Return a reader for values of a type."""
     if isinstance(node, Prim):
         return _prim(node) if node.letter else _string
     if isinstance(node, Array):
@@ -291,7 +291,7 @@ def reader(node: Type) -> Reader:
 
 
 def runs(node: Struct) -> list[list[Field]]:
-    """Return the fields of a struct in order, in groups that each need only one call of `struct`."""
+    """Return the fields of a struct in order, grouped such that each group needs only one `struct` call."""
     found: list[list[Field]] = []
     for _, group in groupby(node.fields, key=lambda field: flat_form(field.type) is not None):
         fields = list(group)
@@ -310,7 +310,7 @@ def flat_form(node: Type) -> tuple[str, int] | None:
 
 
 def _flat_forms(fields: Sequence[Field]) -> tuple[Format, list[int]]:
-    """Return the format of fields in one `struct` call, and the count of each field."""
+    """Return the common format of fields for one `struct` call, and the count of each field."""
     forms = [form for field in fields if (form := flat_form(field.type)) is not None]
     return Format(">" + "".join(letters for letters, _ in forms)), [count for _, count in forms]
 
@@ -441,7 +441,7 @@ class Wire(NamedTuple):
 
 
 def writer(node: Type, wire: Wire) -> Writer:
-    """Return the writer of a type's values."""
+    """Return a writer for values of a type."""
     if isinstance(node, Prim):
         return _write_prim(node, wire)
     if isinstance(node, Array):
@@ -542,14 +542,14 @@ def _field(field: Field, wire: Wire) -> Writer:
 
 
 def _unlike(value: Any, names: Sequence[str]) -> Misfit:
-    """Return the error for a value whose fields are not those of its struct."""
+    """Return the error for a value whose fields do not match its struct."""
     if not isinstance(value, Mapping):
         return Misfit(f"expected a dict, got {value!r}")
     missing, extra = sorted(set(names) - value.keys()), sorted(map(str, value.keys() - set(names)))
     given = (
         f"but {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         if missing
-        else f"got also {', '.join(extra)}"
+        else f"but also got {', '.join(extra)}"
     )
     return Misfit(f"expected {'the fields ' + ', '.join(names) if names else 'no fields'}, {given}")
 
@@ -566,7 +566,7 @@ def _write_array(node: Array, wire: Wire) -> Writer:
             try:
                 return head + struct.pack(f">{len(flat)}{letter}", *flat)
             except (struct.error, TypeError, ValueError, OverflowError):
-                pass  # writing each element identifies the fault
+                pass  # writing the elements one by one locates the fault
         parts = [head]
         for index, one in enumerate(flat):
             try:
@@ -580,7 +580,7 @@ def _write_array(node: Array, wire: Wire) -> Writer:
 
 
 def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
-    """Return the elements in order, and the sizes; raise unless the list is rectangular."""
+    """Return the elements in order and the sizes; raise an error if the list is not rectangular."""
     dims = node.dims
     shape = getattr(value, "shape", None)
     if shape is not None and len(shape) == len(dims) and callable(getattr(value, "reshape", None)):

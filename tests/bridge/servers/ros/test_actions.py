@@ -276,7 +276,7 @@ def test_the_lease_ends_with_the_server_or_the_client(bench: Bench) -> None:
     bench.loop.ask(Leave("a"))
     bench.tick(1)
     assert bench.hub.arbiter.commander("yumi_left") == ""
-    assert "ros2 a no longer commands yumi_left: it closed. The arm holds." in bench.events
+    assert "ros2 a no longer commands yumi_left: it disconnected. The arm holds." in bench.events
 
 
 def test_an_arm_that_is_not_ready_refuses(bench: Bench) -> None:
@@ -311,7 +311,7 @@ def test_a_client_may_use_the_name_of_a_goal_again(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("act", "words"),
     [
-        (lambda bench: bench.hub.arbiter.leave("ros2 a"), "The client closed."),
+        (lambda bench: bench.hub.arbiter.leave("ros2 a"), "The client disconnected."),
         (lambda bench: bench.hub.arbiter.stop("x") or bench.hub.arbiter.resume("x"), "x ended a stop."),
         (lambda bench: setattr(bench, "number", bench.number + 100), "yumi_left was not ready. Send the goal again."),
     ],
@@ -421,7 +421,7 @@ def test_no_lease_is_renewed_between_the_parts_of_a_goal(bench: Bench, monkeypat
 
 
 def test_servers_that_only_read_or_do_not_command() -> None:
-    for options, words in (({"allowed": []}, "no commands through ros2"), ({"read_only": ["ros2"]}, "only read")):
+    for options, words in (({"allowed": []}, "no commands through ros2"), ({"read_only": ["ros2"]}, "read-only")):
         with contextlib.closing(Bench(**options)) as bench:
             status, _, text = bench.until(bench.send(1, {"trajectory": trajectory((1.0, 0.1))}))
         assert status == ABORTED
@@ -542,7 +542,7 @@ def test_the_arm_rests_after_its_client_was_killed(tmp_path: Path, monkeypatch: 
 
     run = play(monkeypatch, cell_of("ros2", f"domain = {domain}", ARM), script)
     assert gone
-    assert any("it closed. The arm holds." in event for _, event in run.events)
+    assert any("it disconnected. The arm holds." in event for _, event in run.events)
     np.testing.assert_allclose(run.table.dropna("qd_sent")["qd_sent"][-1], 0.0, atol=1e-9)
     check_limits(run)
 

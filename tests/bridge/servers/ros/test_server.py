@@ -88,7 +88,7 @@ def test_all_writers_of_a_node_are_one_client_until_the_last_goes(start: Callabl
         time.sleep(0.01)
     assert running.exchange.arbiter.commander(ARM.name) == who
     setter.leave()
-    over = f"{who} no longer commands yumi_left: it closed. The arm holds."
+    over = f"{who} no longer commands yumi_left: it disconnected. The arm holds."
     until(lambda: running.commanded() is None and over in events)
 
 
@@ -99,7 +99,7 @@ def test_a_second_commander_is_refused_by_a_sentence(running: Any) -> None:
     second = other.writer(POSITION, ARRAY)
     diagnostics = running.node.read("/yumi_left/diagnostics", DIAGNOSTICS)
     who = f"{running.name} {running.node.client}"
-    said = f"{other.client}: yumi_left is commanded by {who}. You may only read."
+    said = f"{other.client}: yumi_left is commanded by {who}. You have read-only access."
 
     def told() -> bool:
         first.write(numbers(*[0.01] * 7))

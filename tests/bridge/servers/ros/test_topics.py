@@ -173,7 +173,7 @@ def test_diagnostics_come_once_a_second_for_every_arm() -> None:
     (status,) = next(message for topic, message in reversed(found) if topic.name == "/yumi_left/diagnostics").status
     values = {one.key: one.value for one in status.values}
     assert status.level == 1
-    assert "1 late answers" in status.message
+    assert "1 late replies" in status.message
     assert (values["rate [1/s]"], values["commander"]) == ("250.0", "rosbridge 127.0.0.1:5")
 
 

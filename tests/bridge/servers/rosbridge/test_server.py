@@ -112,7 +112,7 @@ def test_rows_go_out_and_commands_come_back(start: Callable[..., Running]) -> No
     say(other, "publish", topic="/yumi_right/stop", msg={})
     running.until(lambda: arbiter.stopped)
     assert (
-        f"is commanded by {they if second is client else me}. You may only read."
+        f"is commanded by {they if second is client else me}. You have read-only access."
         in running.heard(second, "status")["msg"]
     )
     client.close()

@@ -279,7 +279,7 @@ def test_a_few_fields_of_an_arm_are_enough_and_others_are_refused() -> None:
     with pytest.raises(LinkError, match=r"Expected rows with ur5e.q"):
         read_about(json.dumps([about(schema=some.replace("[6]", "[5]"))]).encode())
     fields.append(RowField("b.commander", "text", (8,), "1", "", (), "b", 88))
-    with pytest.raises(LinkError, match=r"commanders of arms to be the only texts in rows, got b.commander"):
+    with pytest.raises(LinkError, match=r"commander fields to be the only texts in rows, got b.commander"):
         read_about(json.dumps([about(schema=RowSchema(["ur5e"], fields).text.decode())]).encode())
 
 

@@ -1,4 +1,4 @@
-"""Channels of a LabComm server, one per port, and `Peer`, a connection with queue and timeouts."""
+"""Channels of a LabComm server, one per port, and `Peer`, a connection with a queue and timeouts."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ QUEUE = 64
 """Maximum number of packets queued for a slow peer; beyond it, the oldest data packets are dropped."""
 
 _AT_ONCE = 65_536  # bytes per read
-_PATIENCE = 5.0  # s for a packet to become complete, and for a peer to read
-_KERNEL = 65_536  # bytes of the kernel's send buffer: small, so that a slow peer gets recent rows
+_PATIENCE = 5.0  # s: time limit for a packet to be completed, and for a peer to read
+_KERNEL = 65_536  # bytes of the kernel's send buffer; small, so a slow peer gets recent rows
 
 
 class Peer:
@@ -46,9 +46,9 @@ class Peer:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.decoder, self.sent, self.dropped, self.refused = Decoder(), 0, 0, 0
         self.began, self.reported = time.monotonic(), -math.inf
-        self._queue: deque[tuple[bytes, bool]] = deque()  # packet, whether it may be dropped
-        self._rest = b""  # rest of a partly sent packet
-        self._stuck: float | None = None  # time since which nothing could be sent
+        self._queue: deque[tuple[bytes, bool]] = deque()  # packet, and whether it may be dropped
+        self._rest = b""  # remainder of a partly sent packet
+        self._stuck: float | None = None  # time of the first failed send since the last success
         self._packet = (0, self.began)  # position and start of an incomplete packet
 
     @property
@@ -126,7 +126,7 @@ class Peer:
 
 
 OnCommand = Callable[[str, Row, str], None]
-"""Callback with the channel name, a valid command and the client address."""
+"""Callback that receives the channel name, a valid command and the client address."""
 
 
 class Channel:
@@ -136,7 +136,7 @@ class Channel:
     port: int
     follows_client: bool
 
-    sent: SampleType | None = None  # type of all data on the port, if there is only one
+    sent: SampleType | None = None  # type of all data sent on the port, if it is unique
 
     def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
         self.name, self.port, self.follows_client = name, port, follows_client
@@ -144,7 +144,7 @@ class Channel:
         self.counts: Counter[str] = Counter()
 
     def greet(self, peer: Peer) -> None:
-        """Queue the first packets of a client: VERSION, and the definition of the sent type."""
+        """Queue the first packets for a client: VERSION and the definition of the sent type."""
         if peer.encoder is not None:
             peer.push(peer.encoder.version(), may_drop=False)
             if self.sent is not None:
@@ -169,7 +169,7 @@ class Channel:
 
 
 class ArmChannel(Channel):
-    """Channel of one arm: rows out, commands in; `bridge.arbiter.Arbiter` chooses the commanding client.
+    """Channel of one arm: rows out, commands in; `bridge.arbiter.Arbiter` selects the commanding client.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class ArmChannel(Channel):
         self._send(self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Handle a command; other samples are counted, and the server reports them.
+        """Handle a command; count other samples, which the server reports.
 
         Raises
         ------
@@ -242,7 +242,7 @@ class ArmChannel(Channel):
 
 
 class FusedArm(NamedTuple):
-    """An arm in a fused row: name, arrival time on the bridge's clock [µs], and row."""
+    """Arm in a fused row: name, arrival time on the bridge's clock [µs], and row."""
 
     name: str
     t_us: int
@@ -250,7 +250,7 @@ class FusedArm(NamedTuple):
 
 
 class FusedSource(NamedTuple):
-    """A source in a fused row: name, arrival time on the bridge's clock [µs], and values."""
+    """Source in a fused row: name, arrival time on the bridge's clock [µs], and values."""
 
     name: str
     t_us: int
@@ -289,11 +289,11 @@ Value = float | bool | str | Sequence[float] | np.ndarray
 """Value of a parameter."""
 
 OnSet = Callable[[str, Any, str], Any]
-"""Callback with a parameter name, the requested value and the client; returns the new value (None: published later)."""
+"""Callback that maps a parameter name, the requested value and the client to the new value (None: published later)."""
 
 
 class ParameterChannel(Channel):
-    """Parameter channel: a sample sets its parameter, and changes are sent to all subscribers in their types.
+    """Parameter channel: a received sample sets a parameter; each subscriber gets changes in the type that it defined.
 
     Types: ``double name``, ``double name[_]`` (or with its size), ``boolean name`` and ``string name``.
     """
@@ -311,7 +311,7 @@ class ParameterChannel(Channel):
         self._subscribed: dict[Peer, dict[str, Type]] = {}
 
     def put(self, item: tuple[str, Value], peers: Iterable[Peer]) -> None:
-        """Queue the value in force for all subscribers of the parameter; `item`: (name, value)."""
+        """Queue the current value of a parameter for its subscribers; `item` is (name, value)."""
         name, value = item
         self._values[name] = value
         for peer in peers:

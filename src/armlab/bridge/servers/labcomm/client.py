@@ -1,4 +1,4 @@
-"""Clients of a LabComm server: `LabCommClient`, `LabCommSource`, and links for running a loop on received rows."""
+"""Clients of a LabComm server: `LabCommClient`, `LabCommSource`, and the port and codec of row links."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: 
 
 
 class LabCommClient:
-    """Client of one port of a LabComm server; a context manager.
+    """Client of one port of a LabComm server; use it as a context manager.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class LabCommClient:
         Raises
         ------
         LabCommError
-            The value does not fit the type.
+            The value does not match the type.
         LinkError
             The connection is closed.
         """
@@ -149,7 +149,7 @@ class LabCommClient:
         Parameters
         ----------
         row : Row
-            Command with the `tm` of the row it answers; joints in kinematic order.
+            Command in kinematic joint order, with the `tm` of the row to which it responds.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class LabCommClient:
         Parameters
         ----------
         seconds : float, s
-            Longest wait.
+            Maximum waiting time.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class LabCommClient:
         Parameters
         ----------
         seconds : float, s
-            Longest wait.
+            Maximum waiting time.
 
         Raises
         ------
@@ -220,12 +220,12 @@ class LabCommClient:
                 return found
 
     def run(self, on_row: Callable[[Row], Row | None], seconds: float | None = None, reconnects: bool = True) -> int:
-        """Call a function with each newest row, and send its result as a command; return the number of calls.
+        """Call a function with the newest row after each read and send its result; return the number of calls.
 
         Parameters
         ----------
         on_row : callable
-            Function from a Row to a Row or None (send nothing).
+            Maps a Row to a command, or to None to send nothing.
         seconds : float, s
             Time to run; default: until the connection is closed.
         reconnects : bool
@@ -296,7 +296,7 @@ _STAMPS = {"t_us": 1000, "tm": 10**6}  # ns per unit
 
 
 class LabCommSource(ThreadSource):
-    """Newest value of one sample type, received in a reconnecting thread; a field t_us or tm provides the timestamp."""
+    """Source that receives one sample type in a reconnecting thread; the field t_us or tm is its timestamp."""
 
     host: str
     port: int
@@ -367,7 +367,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class RowPort:
-    """Connection to a LabComm server in place of a UDP port; never blocks, counts errors, and reconnects."""
+    """Connection to a LabComm server in place of a UDP port; it never blocks, counts errors and reconnects."""
 
     host: str
     port: int
@@ -400,13 +400,13 @@ class RowPort:
         return self._rows.popleft() if self._rows else None
 
     def flush(self) -> None:
-        """Discard the queued rows."""
+        """Discard all queued rows."""
         for _ in range(1000):
             if self.receive() is None:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one command and drop unsent older ones. Return whether the port is connected."""
+        """Send one command and drop older unsent commands; return whether the port is connected."""
         if self._peer is None:
             return False
         self._peer.clear()
@@ -441,7 +441,7 @@ class RowPort:
         return peer
 
     def _lose(self) -> None:
-        """Replace the connection with a silent socket, and schedule a reconnection."""
+        """Replace the connection with a silent socket and schedule a reconnection."""
         self.errors += 1
         self._peer, self._count, self._retry = None, 0, time.monotonic() + _RECONNECT
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as idle:
@@ -470,7 +470,7 @@ class RowPort:
 
 
 class RowCodec(RowsAsPackets):
-    """Codec that converts rows to packets of the loop, and references to commands."""
+    """Codec that converts rows to packets for the loop, and references to commands."""
 
     def __init__(self, robot: Robot, types: RowTypes, dialect: str = "2014v1") -> None:
         super().__init__()
@@ -482,7 +482,7 @@ class RowCodec(RowsAsPackets):
             array.flags.writeable = False
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or the reason for dropping the row."""
+        """Convert a row to a packet, or return the reason for dropping the row."""
         if len(data) != self._form.size:
             return Drop("unparsable", f"{len(data)} bytes are not a row")
         count, tm, *_ = self._form.unpack(data)

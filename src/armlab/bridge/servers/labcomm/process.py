@@ -33,7 +33,7 @@ from armlab.robots import Robot
 
 
 def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
-    """Return an arm's part of a loop row, or None before the first packet or without a valid clock."""
+    """Return an arm's part of a loop row, or None before the first packet or if its clock is invalid."""
     tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
     if tm is None or not math.isfinite(values[f"{name}.age"]):
         return None
@@ -51,7 +51,7 @@ def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_n
 
 
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
-_ROWS = 64  # rows sent before the clients get another turn
+_ROWS = 64  # maximum number of rows sent before the clients are served again
 _logger = logging.getLogger("armlab.bridge")
 
 
@@ -94,7 +94,7 @@ class LabCommProcess:
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest of each turn, because only it takes effect
+        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest per turn; older commands have no effect
         self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
         schema, self._sources = self._loop.schema, defaultdict[str, list[str]](list)
@@ -159,7 +159,7 @@ class LabCommProcess:
         self._commands[name, client] = CommandRequest(client, name, q, qd, tau, by_axis=by_axis)
 
     def _set(self, name: str, value: Any, client: str) -> None:
-        """Request a parameter value; the loop replies with the values in force or with a refusal."""
+        """Request a parameter value; the loop replies with the current values or with a refusal."""
         if self._loop.parameters[name]["type"] == "int" and float(value).is_integer():
             value = int(value)
         self._loop.ask(SetRequest(client, {name: value}))
@@ -181,7 +181,7 @@ class LabCommProcess:
                 if before.get(name) != sequence:
                     self._echo(name)
         elif message["kind"] == "answer":
-            for name in message["refused"]:  # the client's value is not in force
+            for name in message["refused"]:  # the client's value did not take effect
                 self._echo(name)
 
     def _echo(self, name: str) -> None:

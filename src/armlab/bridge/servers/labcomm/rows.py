@@ -1,4 +1,4 @@
-"""Rows of an arm in LabComm: `Row`, and `RowTypes`, the sample types of a port.
+"""LabComm rows of an arm: `Row`, and `RowTypes`, the sample types of a port.
 
 On the wire, joints are in ABB's order (axes 1 to 6, then 7) unless the port is set to "chain". In a `Row`, joints are
 in kinematic order from base to tool. Missing vectors are NaN on the wire and None in a `Row`.
@@ -85,23 +85,23 @@ class RowTypes:
         return sample.name == self.accepted.name and fits
 
     def value(self, row: Row, sample: SampleType | None = None) -> dict[str, Any]:
-        """Return the wire value of a row, with NaN for missing vectors."""
+        """Convert a row to its wire value, with NaN for missing vectors."""
         parts = {"pos": row.q, "vel": row.qd, "trq": row.tau}
         names = _fields(self.sent if sample is None else sample)
         return {name: signed(row.tm) if name == "tm" else self._wired(name, parts[name]) for name in names}
 
     def row(self, value: Mapping[str, Any]) -> Row:
-        """Return the row of a wire value; missing fields are None."""
+        """Convert a wire value to a row, with None for missing fields."""
         parts = [self._chained(name, value.get(name)) for name in _VECTORS]
         return Row(value.get("tm", 0), *parts)
 
     def rows(self, events: Iterable[Event]) -> list[Row]:
-        """Return the rows among the events: the samples of the type `sent`."""
+        """Return the rows among the events, which are the samples of type `sent`."""
         accepted = self.sent.name, self.sent.type
         return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == accepted]
 
     def command(self, value: Mapping[str, Any]) -> Row:
-        """Return the command in a wire value; `vel` and `trq` are omitted if all their elements are zero or NaN."""
+        """Convert a wire value to a command; omit `vel` or `trq` if all its elements are zero or NaN."""
         row = self.row(value)
         if row.q is None or not np.isfinite(row.q).all():
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")

@@ -26,10 +26,10 @@ from armlab.wire.labcomm import Encoder, Sample
 from armlab.wire.labcomm.types import Definition, Event
 
 _CLIENTS = 8  # maximum number of clients per port
-_KEPT = 100  # disconnected clients whose counts are kept
+_KEPT = 100  # number of disconnected clients whose counts are kept
 _CHECK_EVERY = 0.05  # s between timeout checks
-_TURN = 4096  # bytes read from all clients together per turn, because reading delays everything else
-_LEAST = 256  # bytes read from each client at least
+_TURN = 4096  # maximum bytes read per turn from all clients together, because reading delays everything else
+_LEAST = 256  # minimum share of each client [bytes]
 _EVERY = 1.0  # s between events about refused samples of a client
 _SNIFF = 0.15  # s that a port with follows_client waits for the client's first packets
 
@@ -58,7 +58,7 @@ class Ports:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Numbers of clients, packets dropped for slow clients, and ignored and refused samples, by channel."""
+        """Counts of clients, packets dropped for slow clients, and ignored and refused samples, by channel."""
         return {
             name: {
                 "clients": len(self._peers[name]),
@@ -70,7 +70,7 @@ class Ports:
 
     @property
     def clients(self) -> dict[str, tuple[int, int]]:
-        """Numbers of data packets sent and dropped, by channel and address, including disconnected clients."""
+        """Counts of data packets sent and dropped, by channel and address; includes disconnected clients."""
         here = {
             f"{name} {peer.address}": (peer.sent, peer.dropped)
             for name in self._channels
@@ -87,7 +87,7 @@ class Ports:
         channel = self._channels[name]
         try:
             channel.put(item, self._peers[name])
-        except Exception as error:  # a row of the wrong shape: the next ones may be valid
+        except Exception as error:  # such as a row of the wrong shape; the next rows may be valid
             self._report(f"{name}: a row was not sent, {type(error).__name__}: {error}", warn=True)
         self._flush_all(channel)
 
@@ -169,11 +169,11 @@ class Ports:
                     has_stopped = True
                 else:
                     channel.take(peer, event, self._peers[channel.name])
-            except Exception as error:  # from the user's callback: keep serving the other clients
+            except Exception as error:  # from the user's callback; keep serving the other clients
                 self._refused(channel, peer, error)
 
     def _refused(self, channel: Channel, peer: Peer, error: Exception) -> None:
-        """Count a refused sample; report the newest one at most once per second and client."""
+        """Count a refused sample; report the newest at most once per second for each client."""
         peer.refused += 1
         now = time.monotonic()
         if now - peer.reported >= _EVERY:
@@ -183,7 +183,7 @@ class Ports:
             self._report(text, warn=True)
 
     def _check(self, now: float) -> None:
-        """Close clients that have timed out; greet clients that have not revealed their dialect in time."""
+        """Close clients that have timed out; greet clients that have not shown their dialect in time."""
         for name, peers in self._peers.items():
             channel = self._channels[name]
             for peer in list(peers):
@@ -236,11 +236,11 @@ class Ports:
             self._on_event(text, warn)
 
 
-_PUBLISHED = 256  # items queued for the server's thread
+_PUBLISHED = 256  # maximum number of items queued for the server's thread
 
 
 class LabCommServer:
-    """LabComm server that serves its channels in a background thread until closed; a context manager.
+    """LabComm server that serves its channels in a background thread until closed; use it as a context manager.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ class LabCommServer:
     host : str
         Address to listen on; default: this computer only.
     on_event : callable
-        Called in the server's thread with a text when a client connects or is disconnected.
+        Called in the server's thread with a message when a client connects or disconnects.
     on_stop : callable
         Called in the server's thread with the address of a client that sent ``void stop`` on any port.
 
@@ -318,7 +318,7 @@ class LabCommServer:
         Parameters
         ----------
         t_us : int, µs
-            Clock of the bridge.
+            Time on the bridge clock.
         arms : sequence of FusedArm
             The newest row of each arm.
         sources : sequence of FusedSource
@@ -339,7 +339,7 @@ class LabCommServer:
         name : str
             Name of the parameter.
         value : float, bool, str or sequence of float
-            Its value, of the declared type.
+            New value, of the declared type.
 
         Raises
         ------
@@ -350,12 +350,12 @@ class LabCommServer:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Numbers of clients, packets dropped for slow clients, and ignored and refused samples, by channel."""
+        """Counts of clients, packets dropped for slow clients, and ignored and refused samples, by channel."""
         return self._ports.counts
 
     @property
     def clients(self) -> dict[str, tuple[int, int]]:
-        """Numbers of data packets sent and dropped, by channel and address, including disconnected clients."""
+        """Counts of data packets sent and dropped, by channel and address; includes disconnected clients."""
         return self._ports.clients
 
     def close(self) -> None:
@@ -400,7 +400,7 @@ class RowFeed:
     Parameters
     ----------
     server : LabCommServer
-        Publishes the rows.
+        Server that publishes the rows.
     channels : mapping
         Channel name by robot name. With each row of the first arm, a channel "fused" gets the newest rows of all arms.
     """
@@ -435,7 +435,7 @@ class RowFeed:
                 self._server.fused(t_us, list(self._newest.values()))
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Ignore an event, because rows cannot carry it.
+        """Ignore an event, because rows cannot contain events.
 
         Parameters
         ----------
@@ -456,7 +456,7 @@ def to_arbiter(arbiter: Arbiter, arm: str, order: Literal["abb", "chain"] = "abb
     arm : str
         Name of the robot.
     order : str
-        Joint order of the channel, in which error texts number the joints.
+        Joint order of the channel, used to number joints in error messages.
     """
 
     def submit(name: str, row: Row, client: str) -> None:

@@ -30,17 +30,17 @@ TRAJECTORY, FOLLOW = "trajectory_msgs/msg/JointTrajectory", "control_msgs/action
 CONTROLLER = "joint_trajectory_controller"
 STATUS, CANCEL = "action_msgs/msg/GoalStatusArray", "action_msgs/srv/CancelGoal"
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
-"""Status of a goal; see action_msgs/msg/GoalStatus."""
+"""Status codes of a goal; see action_msgs/msg/GoalStatus."""
 
 _STATUS = {"executing": EXECUTING, "succeeded": SUCCEEDED, "canceled": CANCELED, "aborted": ABORTED}
 _CODES = {"arrived": 0, "refused": -1, "interrupted": -1, "path": -4, "goal": -5}  # error codes of the action's result
 _JOINTS_CODE = -2
-_MOST = 64  # simultaneous goals per server
+_MOST = 64  # maximum number of simultaneous goals per server
 _RENEW = 25_000_000  # ns between renewals of a lease
 _FEEDBACK = 50_000_000  # ns between feedback messages
 _PART = 24_000  # bytes of trajectory points per request
-_POINTS = 2000  # maximum number of points: reading a message must take only a fraction of the clients' leases
-_LONGEST_DELAY = 60.0  # s, longest time until a trajectory begins
+_POINTS = 2000  # maximum number of points: reading a message must take only a fraction of a client's lease
+_LONGEST_DELAY = 60.0  # s: maximum delay before a trajectory begins
 
 
 _Whole = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**32)]
@@ -103,7 +103,7 @@ class _Goal(msgspec.Struct):
 
 
 def read_trajectory(message: Mapping[str, Any]) -> JointTrajectory:
-    """Return the trajectory in a ROS 1 or ROS 2 JointTrajectory message."""
+    """Convert a ROS 1 or ROS 2 JointTrajectory message to a trajectory."""
     return _trajectory(_converted(message, _Trajectory))
 
 
@@ -140,7 +140,7 @@ def _trajectory(message: _Trajectory) -> JointTrajectory:
 
 
 def _tolerance(given: Iterable[_JointTolerance], robot: Robot, usual: Tolerance) -> Tolerance:
-    """Return the tolerances of a goal; zero selects the default, and a negative number means no tolerance."""
+    """Return the tolerances of a goal; zero selects the default, and a negative number disables the check."""
     values = usual.spread(robot.n)
     for one in given:
         if one.name not in robot.ros_joint_names:
@@ -158,7 +158,7 @@ def _tolerance(given: Iterable[_JointTolerance], robot: Robot, usual: Tolerance)
 
 @dataclass
 class Goal:
-    """Trajectory of a client."""
+    """Trajectory goal of a client."""
 
     client: str
     arm: str
@@ -187,7 +187,7 @@ class Goals:
         self.actions: dict[str, str] = {f"/{name}/{CONTROLLER}/follow_joint_trajectory": name for name in self._robots}
 
     def start(self, goal: Goal, message: Mapping[str, Any]) -> None:
-        """Start the goal of an action; a refused goal is aborted with the reason."""
+        """Start an action goal; if it is refused, abort it with the reason."""
         try:
             requests = self._request(goal, _converted(message, _Goal))
         except ArmlabError as error:
@@ -227,7 +227,7 @@ class Goals:
             if goal.is_message:
                 self._goals.pop((client, goal.name), None)
             else:
-                self._finish(goal, ABORTED, _CODES["interrupted"], "The client closed.")
+                self._finish(goal, ABORTED, _CODES["interrupted"], "The client disconnected.")
 
     def text(self, message: Mapping[str, Any]) -> None:
         """Handle a "goal" message from the loop."""
@@ -244,7 +244,7 @@ class Goals:
         self._finish(goal, _STATUS[message["status"]], _CODES[message["ending"]], message["text"])
 
     def row(self, data: bytes, now_ns: int) -> None:
-        """Renew the leases, and send feedback based on a row."""
+        """Renew the leases and send feedback based on a row."""
         self.renew(now_ns)
         feedback = [goal for goal in tuple(self._goals.values()) if goal.is_running and goal.on_feedback is not None]
         if not feedback:
@@ -275,7 +275,7 @@ class Goals:
     def _request(self, goal: Goal, message: _Goal) -> list[TrajectoryRequest]:
         robot = self._robots[goal.arm]
         if not goal.name:
-            raise CommandRefused("Expected a goal with an id, got no id. Use any id.")
+            raise CommandRefused("Expected a goal with an id, got no id. Set a goal id.")
         if (goal.client, goal.name) in self._goals or len(self._goals) >= _MOST:
             raise CommandRefused(
                 f"Expected a new goal id and at most {_MOST} active goals. Wait until a goal has ended."
@@ -314,7 +314,7 @@ class Goals:
         ]
 
     def _finish(self, goal: Goal, status: int, code: int, text: str) -> None:
-        if self._goals.pop((goal.client, goal.name), None) is goal:  # only once, in whichever thread comes first
+        if self._goals.pop((goal.client, goal.name), None) is goal:  # only once, in the first thread that gets here
             goal.on_result(status, code, text)
 
 
@@ -387,12 +387,12 @@ _SERVICES = {
     CANCEL: ("action_msgs/GoalInfo goal_info", "int8 return_code\naction_msgs/GoalInfo[] goals_canceling"),
 }
 _REJECTED, _UNKNOWN, _TERMINATED = 1, 2, 3  # return codes of a cancellation
-_KEPT = 64  # ended goals per action whose results can still be requested
+_KEPT = 64  # maximum number of ended goals per action whose results can be requested
 
 
 @dataclass
 class _Record:
-    """Goal of an action, with its status, its result, and the unanswered requests for the result."""
+    """Action goal with its status, its result and the pending requests for the result."""
 
     id: bytes
     goal: Goal
@@ -407,7 +407,7 @@ class _Record:
 
 
 class ActionServers:
-    """Action servers of all arms: services, feedback and status; `publish` sends a message of `store`."""
+    """Action servers of all arms: services, feedback and status; `publish` sends a message with a type from `store`."""
 
     def __init__(self, goals: Goals, publish: Callable[[RosTopic, Any], None], wanted: Callable[[], Collection[str]]):
         _register()
@@ -498,7 +498,7 @@ class ActionServers:
 
 @cache
 def _register() -> None:
-    """Add the types of the action to `store`."""
+    """Register the action types in `store`."""
     for name, text in _MESSAGES.items():
         store().register(get_types_from_msg(text, name))
     register(_SERVICES)

@@ -1,4 +1,4 @@
-"""`DdsServer`: lets ROS 2 nodes read rows and send commands over DDS; the bridge needs no ROS installation."""
+"""`DdsServer`: ROS 2 server over DDS for rows and commands; requires no ROS installation."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
     return _write(writer._ref, data) >= 0
 
 
-_PARTICIPANTS = 32  # participants searched for on this computer, as in ROS 2
+_PARTICIPANTS = 32  # number of participants to search for on this computer, as in ROS 2
 _LOOPBACK = b"lo"
 
 
 def configuration(host: str) -> str:
-    """Return the settings of Cyclone DDS as XML: network interface and discovery (by multicast on a network)."""
+    """Return the Cyclone DDS settings as XML: network interface and discovery (multicast, except on loopback)."""
     if _is_local(host):
-        # Announcements to each port of 127.0.0.1 reach nodes with multicast discovery; pruning would miss later nodes.
+        # Announcements to each port of 127.0.0.1 reach nodes with multicast discovery; pruning would miss late nodes.
         found = (
             f"<Peers><Peer address='127.0.0.1'/></Peers><MaxAutoParticipantIndex>{_PARTICIPANTS}"
             "</MaxAutoParticipantIndex><SPDPInterval>2 s</SPDPInterval>"
@@ -76,7 +76,7 @@ def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
     """Join a domain for the duration of the block."""
     try:
         settings = Domain(domain, configuration(host))
-        participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))  # else it has no nodes
+        participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))  # else ROS 2 finds no nodes
     except DDSException as error:
         raise LinkError(
             f"Expected to join DDS domain {domain} on {host}, got {error} Use the address of one active network "
@@ -91,7 +91,7 @@ def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
 
 
 def tie_to_loopback() -> int:
-    """Restrict sockets bound to every address, as Cyclone DDS binds them, to this computer; return their number."""
+    """Restrict sockets bound to all addresses (by Cyclone DDS) to this computer; return the number of sockets."""
     count = 0
     for entry in Path("/proc/self/fd").iterdir():
         if not entry.is_socket():
@@ -108,8 +108,8 @@ def _tie(one: socket.socket) -> None:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, _LOOPBACK)
     except OSError as error:
         raise LinkError(
-            f"Expected DDS to be restricted to this computer, got {error.strerror}. It needs Linux 5.7 or newer; on "
-            "other systems use rosbridge or Zenoh."
+            f"Expected DDS to be restricted to this computer, got {error.strerror}. This requires Linux 5.7 or newer; "
+            "on other systems, use rosbridge or Zenoh."
         ) from error
 
 
@@ -136,9 +136,9 @@ _copies: dict[int, Any] = {}
 
 
 def untyped_topic(participant: DomainParticipant, name: str, type: Any) -> DdsTopic[Any]:
-    """Return a topic whose type is matched by name, not by its XTypes description.
+    """Return a topic whose type is matched by name instead of by XTypes description.
 
-    Cyclone DDS refuses the descriptions of Fast DDS 3 (Kilted), whose sequence elements have no flags.
+    Cyclone DDS rejects the descriptions of Fast DDS 3 (Kilted), whose sequence elements have no flags.
     """
     topic, c_type = DdsTopic(participant, name, type), ctypes.POINTER(ctypes.c_void_p)()
     if _sertype(topic._ref, ctypes.byref(c_type)) < 0:
@@ -165,7 +165,7 @@ def struct(name: str) -> Any:
 
 @cache
 def carrier(name: str) -> Any:
-    """Return a topic type whose objects hold the serialised message as attribute `cdr`."""
+    """Return a topic type whose attribute `cdr` contains the serialised message."""
     made = _made(name, is_dataclass=False)
     made.__init__, made.serialize = _hold, _held
     made.deserialize = made.deserialize_key = classmethod(_taken)
@@ -206,7 +206,7 @@ _PREFIX = 24  # leading hexadecimal digits of a GUID, shared by all endpoints of
 _XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # the only representation in ROS 2
 _STATE = Qos(
     Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.Volatile, Policy.History.KeepLast(10), _XCDR1
-)  # not KeepAll: a stopped reader would block every write
+)  # with KeepAll, a stopped reader would block every write
 _COMMAND = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(1), _XCDR1)
 _LATCHED = Qos(
     Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.TransientLocal, Policy.History.KeepLast(1), _XCDR1
@@ -220,10 +220,10 @@ def _described(quality: Qos, type_: str) -> Qos:
 
 
 class Graph:
-    """Publisher of the nodes and their endpoints, for `ros2 node`.
+    """Publishes the nodes and their endpoints for `ros2 node`.
 
-    A Gid has 24 bytes up to Humble and 16 bytes since Iron. Its size follows the newest reader: since Iron, readers
-    announce a type hash.
+    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The newest reader determines the size: since Iron,
+    readers announce a type hash.
     """
 
     _TOPIC, _TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -252,7 +252,7 @@ class Graph:
                 write_cdr(writer, self.message(size))
 
     def message(self, size: int) -> bytes:
-        """Return the message with the nodes and their endpoints, with Gids of `size` bytes."""
+        """Return the message that lists the nodes and their endpoints, with Gids of `size` bytes."""
         known = later() if size == 16 else store()
         types: Mapping[str, Any] = known.types
 
@@ -295,7 +295,7 @@ class Writers:
         return [(name, writer.guid.bytes) for name, writer in self._writers.items()]
 
     def close(self) -> None:
-        """Delete all writers; their callbacks end."""
+        """Delete all writers, which ends their callbacks."""
         self._writers.clear()
 
     def _matched(self, name: str, status: Any) -> None:
@@ -304,7 +304,7 @@ class Writers:
 
 
 class Readers:
-    """Readers of all commanded topics; callbacks come from DDS threads."""
+    """Readers of all command topics; callbacks run in DDS threads."""
 
     def __init__(
         self,
@@ -336,10 +336,10 @@ class Readers:
         self._readers.clear()
 
     def _guarded(self, call: Callable[..., None], reader: DataReader[Any] | None, *arguments: Any) -> None:
-        """Call a callback, and log its errors, which would otherwise surface in C."""
+        """Run a callback and log its errors, which would otherwise surface in C code."""
         try:
             with self._lock:
-                if reader in self._readers:  # `_begin` makes up for calls before the reader is complete
+                if reader in self._readers:  # `_begin` catches up on calls before the reader was complete
                     call(reader, *arguments)
         except Exception:
             _logger.exception("ros2")
@@ -356,7 +356,7 @@ class Readers:
             for sample in samples:
                 if sample.sample_info.valid_data:  # otherwise a writer has disconnected
                     self._take(name, sample.cdr, self._client(reader, _handle(sample.sample_info.publication_handle)))
-        if new := set(self._clients) - known:  # a writer that ended before it was known is not reported as gone
+        if new := set(self._clients) - known:  # DDS does not report the end of a writer that was not yet known
             for handle in new.difference(map(_handle, reader.get_matched_publications())):
                 self._gone(handle)
 

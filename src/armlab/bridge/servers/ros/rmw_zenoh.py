@@ -1,4 +1,4 @@
-"""`RmwZenohServer`: lets ROS 2 nodes read rows and send commands over rmw_zenoh without a ROS installation."""
+"""`RmwZenohServer`: ROS 2 server over rmw_zenoh for rows and commands; requires no ROS installation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from armlab.bridge.servers.zenoh.session import LatchedPublisher, Publisher, clo
 from armlab.errors import ConfigError, MissingExtra
 
 ANY = "*"
-"""Wildcard for the type hash in a reader's key; it matches writers of every distribution."""
+"""Wildcard for the type hash in a reader's key, which matches writers of all distributions."""
 
 Distribution = Literal["humble", "jazzy", "kilted"]
 """ROS 2 distribution (Humble has no type hashes)."""
@@ -35,7 +35,7 @@ _ORIGIN = struct.Struct(f"<qqB{_ID}s")
 
 
 class Names:
-    """Keys and liveliness tokens of one node, which has a number in the session."""
+    """Keys and liveliness tokens of one node, identified by its number in the session."""
 
     def __init__(
         self, domain: int, session: str, distribution: Distribution = "jazzy", node: str = "armlab", number: int = 0
@@ -45,7 +45,7 @@ class Names:
         self._number = number
 
     def hash(self, type: str) -> str:
-        """Return the hash of a message type (a fixed text for Humble)."""
+        """Return the hash of a message type (a fixed string for Humble)."""
         return store().hash_rihs01(type) if self._has_hashes else _NO_HASH
 
     def data(self, topic: str, type: str, hash: str = "") -> str:
@@ -56,7 +56,7 @@ class Names:
         return f"{self._graph}/{self._number}/NN/%/%/{self._node}"
 
     def writers(self) -> tuple[str, str]:
-        """Return the key expressions of the tokens of all writers and all service clients in the domain."""
+        """Return the key expressions that match the tokens of all writers and all service clients in the domain."""
         return f"@ros2_lv/{self._domain}/*/*/*/MP/**", f"@ros2_lv/{self._domain}/*/*/*/SC/**"
 
     def writer(self, number: int, topic: str, type: str, is_latched: bool = False) -> str:
@@ -96,12 +96,12 @@ class Origin(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The complete and unique writer id in hexadecimal."""
+        """Complete writer id in hexadecimal, which is unique."""
         return self.writer.hex()
 
 
 class Writer:
-    """Counter that numbers the messages of one writer."""
+    """Numbers the messages of one writer."""
 
     def __init__(self, token: str) -> None:
         self.id: bytes = _hashed(token)
@@ -124,7 +124,7 @@ def _hashed(token: str) -> bytes:
     return value.to_bytes(_ID, "little")
 
 
-_MOST = 4096  # known writers; more are a flood
+_MOST = 4096  # maximum number of known writers; more are treated as a flood
 
 
 class Nodes:
@@ -152,7 +152,7 @@ class Nodes:
 
 
 _CHECK_EVERY = 1.0  # s between checks of the readers
-_MAY_RETURN = 30.0  # s of numbering after a reader is gone, to reveal messages missed while its router restarts
+_MAY_RETURN = 30.0  # s: numbering continues after a reader leaves, to reveal messages missed during a router restart
 
 
 class RmwZenohServer(RosServer):
@@ -176,7 +176,7 @@ class RmwZenohServer(RosServer):
         about = self._domain, str(self._session.zid()), options["distribution"]
         self._names = {node: Names(*about, node, number) for number, node in enumerate(self.nodes)}
         self._nodes = Nodes(self.left)
-        self._declared: list[Any] = []  # tokens and readers; they are undeclared with their last reference
+        self._declared: list[Any] = []  # tokens and readers; deleting the last reference undeclares them
 
     def run(self) -> None:
         try:
@@ -194,14 +194,14 @@ class RmwZenohServer(RosServer):
         self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
 
     def _check(self) -> None:
-        """Update the topics with readers, at most once per second."""
+        """Update the set of topics with readers, at most once per second."""
         now = time.monotonic()
         if now - self._checked > _CHECK_EVERY:
             self._checked = now
             self._read()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return the number of messages sent, by topic; losses of the readers are unknown."""
+        """Return the numbers of messages sent and dropped by topic; losses at the readers are unknown."""
         return {name: (output.sent, output.dropped) for name, output in self._outputs.items() if output.sent}
 
     def _declare(self) -> None:
@@ -234,7 +234,7 @@ class RmwZenohServer(RosServer):
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Update the topics with readers, keeping each for a while after a disconnection; for use in any thread."""
+        """Update the set of topics with readers; keep each for a while after a disconnection. Thread-safe."""
         now = time.monotonic()
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]

@@ -1,8 +1,8 @@
-"""`ServiceServers`: service servers for nodes with Fast DDS and Cyclone DDS, over a minimal RTPS implementation.
+"""`ServiceServers`: ROS 2 service servers for Fast DDS and Cyclone DDS nodes, with a minimal RTPS implementation.
 
 rmw_fastrtps links a response to its request through the inline QoS of both (DDS-RPC, related_sample_identity), which
-cyclonedds can neither read nor write. rmw_cyclonedds links them through 16 bytes before the fields, so that the bytes
-no longer match the type that cyclonedds checks. This participant has only request readers and response writers.
+cyclonedds can neither read nor write. rmw_cyclonedds links them through 16 bytes before the fields, so the bytes no
+longer match the type that cyclonedds checks. This participant has only request readers and response writers.
 Sources: OMG DDSI-RTPS 2.3, chapters 8 and 9; DDS-RPC 1.0, section 7.6.
 """
 
@@ -37,14 +37,14 @@ _TOPIC, _ENDPOINT, _KEY, _STATUS = 0x05, 0x5A, 0x70, 0x71  # parameter ids
 _PL_CDR = b"\0\3\0\0"
 _RELATED = 0x0083, 0x800F  # parameter ids of the related sample identity: standard, Fast DDS
 _ANNOUNCE, _TICK, _LEASE = 2.0, 0.25, 20  # s
-_PARTICIPANTS = 32  # participants searched for on this computer, as with Cyclone DDS
-_KEPT = 64  # responses that a writer keeps for retransmission
+_PARTICIPANTS = 32  # number of participants to search for on this computer, as with Cyclone DDS
+_KEPT = 64  # number of responses that a writer keeps for retransmission
 _WINDOW = 256
 _LARGEST = 2**19  # maximum size of a request in bytes
 _FRAGMENTS = 4096  # maximum number of fragments of a request
-_PARTIAL = 4  # incomplete requests kept per client
+_PARTIAL = 4  # maximum number of incomplete requests kept per client
 _BUFFER = 2**21  # receive buffer in bytes: all fragments of a large request arrive at once
-_MOST = 1024  # known remote endpoints; more are treated as a flood
+_MOST = 1024  # maximum number of known remote endpoints; more are treated as a flood
 _logger = logging.getLogger("armlab.bridge")
 
 
@@ -63,7 +63,7 @@ def _text(value: str) -> bytes:
 
 
 def _set(base: int, members: Collection[int]) -> bytes:
-    """Return a number set as bytes: the bit count, followed by one bit per number from the base on."""
+    """Encode a number set: the bit count, followed by one bit per number, starting at the base."""
     size = max(members, default=base - 1) - base + 1
     bits = [0] * ((size + 31) // 32)
     for k in members:
@@ -72,7 +72,7 @@ def _set(base: int, members: Collection[int]) -> bytes:
 
 
 def _members(base: int, data: bytes, place: int, order: str) -> list[int]:
-    """Return the numbers in a number set."""
+    """Decode a number set."""
     size = min(struct.unpack_from(f"{order}I", data, place)[0], _WINDOW)
     words = struct.unpack_from(f"{order}{(size + 31) // 32}I", data, place + 4)
     return [base + k for k in range(size) if words[k // 32] >> 31 - k % 32 & 1]
@@ -83,7 +83,7 @@ def _message(kind: int, flags: int, body: bytes) -> bytes:
 
 
 def _data(writer: bytes, number: int, payload: bytes, inline: bytes = b"") -> bytes:
-    """Return a message addressed to any reader, because the known reader may be replaced before it arrives."""
+    """Return a DATA message for any reader, because the known reader may be replaced before the message arrives."""
     head = struct.pack("<HH", 0, 16) + _ANY + writer + _sn(number)
     if inline:
         inline += _parameter(1, b"")
@@ -119,7 +119,7 @@ def _inline(body: bytes, place: int, flags: int, order: str) -> tuple[dict[int, 
 
 @dataclass
 class _Writer:
-    """Reliable writer; a reader without history skips everything that the first heartbeat announces to it."""
+    """Reliable writer; a reader without history skips all messages announced by its first heartbeat."""
 
     id: bytes
     messages: dict[int, tuple[bytes, bytes]] = field(default_factory=dict)  # payload and inline QoS by number
@@ -147,7 +147,7 @@ class _Reader:
     partial: dict[int, tuple[bytearray, set[int]]] = field(default_factory=dict)  # data and missing fragments
 
     def join(self, number: int, total: int, size: int, first: int, part: bytes) -> bytes:
-        """Add fragments; return the message once it is complete, otherwise b"". `first` counts from 1."""
+        """Add fragments; return the message once it is complete, otherwise b"". `first` starts at 1."""
         if not self.next <= number < self.next + _WINDOW or not 0 < total <= min(_LARGEST, _FRAGMENTS * size):
             return b""
         while len(self.partial) >= _PARTIAL and number not in self.partial:
@@ -167,7 +167,7 @@ class _Reader:
             self.early[number] = payload
 
     def skip(self, number: int) -> None:
-        """Skip to a number; no messages with smaller numbers will arrive."""
+        """Skip to a number, because no messages with smaller numbers will arrive."""
         if number > self.next + _WINDOW:
             self.next = number
             self.early.clear()
@@ -223,7 +223,7 @@ class ServiceServers:
         for key, service in enumerate(services, 1):
             number = key.to_bytes(3, "big")
             self._services[number + _REQUESTS] = service
-            self._writers[number + _RESPONSES] = _Writer(number + _RESPONSES, last=1)  # acknowledging 1 is an answer
+            self._writers[number + _RESPONSES] = _Writer(number + _RESPONSES, last=1)  # acknowledging 1 is a reply
             about = f"rq{service.name}Request", f"rr{service.name}Reply"
             for topic, type_, kind, writer in (
                 (about[0], service.request, _REQUESTS, self._subscriptions),
@@ -231,7 +231,7 @@ class ServiceServers:
             ):
                 self._topics[topic] = number + kind
                 writer.add(self._endpoint(number + kind, topic, type_name(type_)))
-        self._counts = itertools.count(1)  # of heartbeats and acknowledgements, which are ignored unless it grows
+        self._counts = itertools.count(1)  # for heartbeats and acknowledgements, which are ignored unless it increases
         self._announced, self._ticked, self._vendor = 0.0, 0.0, _NO_VENDOR
         self._over = False
         self._thread = threading.Thread(target=self._run, name="services over DDS")
@@ -500,7 +500,7 @@ class ServiceServers:
             self._acknowledge(prefix + writer, reader, last)
 
     def _acknowledge(self, writer: bytes, reader: _Reader, last: int = 0) -> None:
-        """Send a remote writer the numbers of the missing messages, so that it sends them or reports a gap."""
+        """Send a remote writer the numbers of the missing messages, so it sends them or reports a gap."""
         held = [k for k in range(reader.next, min(last + 1, reader.next + _WINDOW)) if k not in reader.early]
         missing = [k for k in held if k not in reader.partial]
         ours = self._clients.get(writer, writer[12:15] + b"\xc7") + writer[12:]

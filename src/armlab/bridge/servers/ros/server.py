@@ -1,4 +1,4 @@
-"""Commands of ROS nodes (`Commands`), and `RosServer`, the base of all ROS servers between the loop and a transport."""
+"""`Commands` of ROS nodes, and `RosServer`, the base class of all ROS servers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NUMERIC = {int, float, type(None)}  # excludes bool, a subclass of int; null st
 
 
 class Commands:
-    """Command topics by type, and the conversion of their messages to requests."""
+    """Command topics with their types; converts their messages to requests."""
 
     types: dict[str, str]
 
@@ -103,7 +103,7 @@ _AGAIN = 1.0  # s between publications of the parameters, for new readers
 
 
 class RosServer:
-    """Base of the ROS servers; a subclass adds the transport by defining `write` and `wanted`."""
+    """Base class of the ROS servers; a subclass adds the transport by defining `write` and `wanted`."""
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients], tf: bool = False) -> None:
         self._loop = LoopEnd(feed, clients)
@@ -123,7 +123,7 @@ class RosServer:
         self.latched: frozenset[str] = frozenset([*self._topics.latched, *actions.latched])
 
     def node_of(self, name: str) -> str:
-        """Return the node that a topic or service belongs to: the node of an arm if possible, else of the cell."""
+        """Return the node of a topic or service: the node of an arm if the name contains one, otherwise of the cell."""
         first = name.split("/")[1]
         return first if first in self.nodes else self.nodes[0]
 
@@ -165,7 +165,7 @@ class RosServer:
             self._goals.text(message)
 
     def take(self, topic: str, message: Any, client: str) -> None:
-        """Send the requests in a node's message (serialised or decoded) to the loop; for use in transport threads."""
+        """Send the requests in a node's message (serialised or decoded) to the loop; called from transport threads."""
         try:
             if topic in self._goals.topics:
                 message = plain(content(self._goals.topics[topic], message))
@@ -179,7 +179,7 @@ class RosServer:
             self.refuse(client, str(error))
 
     def request(self, service: Service, cdr: bytes, client: str, send: Callable[[bytes], None]) -> None:
-        """Answer a node's serialised request; for use in transport threads."""
+        """Answer a node's serialised request; called from transport threads."""
         try:
             service.take(cdr, client, send)
         except CommandRefused as error:
@@ -191,7 +191,7 @@ class RosServer:
         self._loop.ask(Report(client, why))
 
     def left(self, client: str) -> None:
-        """Report a disconnected client to the loop; for use in transport threads."""
+        """Report a disconnected client to the loop; called from transport threads."""
         self._goals.leave(client)
         self._loop.ask(Leave(client))
 
@@ -206,11 +206,11 @@ class RosServer:
             self.write(topic, bytes(store().serialize_cdr(message, topic.type)))
 
     def send_latched(self) -> None:
-        """Send the messages that never change, once; their writers keep them for late-joining readers."""
+        """Send the constant messages once; their writers keep them for late-joining readers."""
         self.send(self._topics.latched.values())
 
     def send_parameters(self) -> None:
-        """Send all parameter values, and the diagnostics that are due even without rows."""
+        """Send all parameter values, and any diagnostics due without rows."""
         self._parameters_sent, wanted = time.monotonic(), self.wanted()
         self.send(self._topics.of_parameters(self._loop.parameters, wanted))
         self.send(self._topics.of_silence(time.monotonic_ns(), wanted))

@@ -22,12 +22,12 @@ from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, UnknownName
 
 Respond = Callable[[Any], None]
-"""Function that sends the response to a request (a message of `store`), from any thread."""
+"""Function that sends the response to a request (a message of a type in `store`); thread-safe."""
 
 
 @dataclass(frozen=True)
 class Service:
-    """A service: its full name, its ROS 2 type, and the function that answers a client's request."""
+    """Service: full name, ROS 2 type, and the function that answers a client's request."""
 
     name: str
     type: str
@@ -35,12 +35,12 @@ class Service:
 
     @property
     def request(self) -> str:
-        """Type of the service's requests."""
+        """Request type of the service."""
         return f"{self.type}_Request"
 
     @property
     def response(self) -> str:
-        """Type of the service's responses."""
+        """Response type of the service."""
         return f"{self.type}_Response"
 
     def take(self, cdr: bytes, client: str, send: Callable[[bytes], None]) -> None:
@@ -55,7 +55,7 @@ class Service:
 
 
 def register(types: Mapping[str, tuple[str, str]]) -> None:
-    """Add service types to `store`: name, such as "std_srvs/srv/Empty", with the fields of request and response."""
+    """Register service types in `store`: names, such as "std_srvs/srv/Empty", with request and response fields."""
     # The service type itself is never sent, but its hash is part of keys and tokens.
     found: Any = get_types_from_msg(_INFO, "service_msgs/msg/ServiceEventInfo")
     for name, texts in types.items():
@@ -81,7 +81,7 @@ _INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\n
 
 
 _ANSWER = 1_000_000_000  # ns for the loop to answer a parameter setting
-_SETTINGS = 64  # unanswered settings per client; more are treated as a flood
+_SETTINGS = 64  # maximum number of unanswered settings per client; more are treated as a flood
 
 
 @dataclass(eq=False)
@@ -90,7 +90,7 @@ class _Setting:
 
     client: str
     values: dict[str, Any]
-    done: Callable[[str], None]  # called with "" or with the reason for a refusal
+    done: Callable[[str], None]  # called with "" or the reason for refusal
     until_ns: int
     sequence: int | None = None
 
@@ -98,8 +98,8 @@ class _Setting:
 class Settings:
     """Parameter settings of all clients; a setting waits for earlier settings of the same parameters.
 
-    The loop's answers name the client and the parameters, not the call. Clients are answered without holding the lock,
-    because a transport has its own lock.
+    The loop's answers identify the client and the parameters, but not the call. Clients are answered without holding
+    the lock, because a transport has its own lock.
     """
 
     def __init__(self, loop: LoopEnd) -> None:
@@ -148,7 +148,7 @@ class Settings:
         return refused is not None
 
     def tick(self, now_ns: int) -> None:
-        """Answer the settings that the loop has not answered in time."""
+        """Answer the settings for which the loop sent no timely answer."""
         with self._settling():
             for one in [one for one in self._waiting if now_ns > one.until_ns]:
                 known = {name: self._loop.parameters[name] for name in one.values}
@@ -157,7 +157,7 @@ class Settings:
                 self._settle(one, f"{why} Current values: {'; '.join(values)}.")
 
     def _ask(self) -> None:
-        """Send the settings that share no parameter with an earlier one."""
+        """Send the settings that share no parameter with an earlier setting."""
         taken: set[str] = set()
         for one in list(self._waiting):
             if one.sequence is None and taken.isdisjoint(one.values):
@@ -195,7 +195,7 @@ _EMPTY = (0, False, 0, 0.0, "", [], [], [], [], [])
 
 
 def parameter_services(node: str, loop: LoopEnd, settings: Settings) -> list[Service]:
-    """Return the parameter services of a node, with the parameters of the cell."""
+    """Return the services of a node for the parameters of the cell."""
     register(
         {
             f"rcl_interfaces/srv/{name}": (_local(request), _local(response))
@@ -219,7 +219,7 @@ def _made(name: str, *fields: Any) -> Any:
 
 
 class _ParameterServices:
-    """Answers of the parameter services; unknown parameters have the type "not set", as in rclpy."""
+    """Implementation of the parameter services; unknown parameters have the type "not set", as in rclpy."""
 
     def __init__(self, loop: LoopEnd, settings: Settings) -> None:
         self._loop, self._settings = loop, settings
@@ -302,7 +302,7 @@ class _ParameterServices:
         elif kind == _KINDS["int"] and np.isfinite(bounds).any():
             low, high = (int(np.clip(one, -(2**53), 2**53)) for one in bounds)
             integers = [_made("msg/IntegerRange", low, high, 1)]
-        who = "Any client may set it." if about["rights"] == "anyone" else "The commander of an arm may set it."
+        who = "Any client may set it." if about["rights"] == "anyone" else "Only the commander of an arm may set it."
         text = f"{about['text']}{unit}".strip()
         return _made("msg/ParameterDescriptor", name, kind, text, who, not about["live"], False, reals, integers)
 
@@ -316,5 +316,5 @@ def _plain(parameter: Any) -> Any:
     value = value.tolist() if isinstance(value, np.ndarray) else value
     for one in value if isinstance(value, list) else [value]:
         if isinstance(one, float) and not math.isfinite(one):
-            raise CommandRefused(f"Expected finite numbers for {name[:80]}, got {one}. The value is kept.")
+            raise CommandRefused(f"Expected finite numbers for {name[:80]}, got {one}. The value is unchanged.")
     return value

@@ -45,7 +45,7 @@ def store() -> Any:
 
 @cache
 def later() -> Any:
-    """Return the message types as of Iron, some of which differ from earlier ones (rmw_dds_common)."""
+    """Return the message types since Iron, some of which have changed (rmw_dds_common)."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -57,7 +57,7 @@ _USUAL = 2**17
 
 
 def domain_number(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
-    """Return the given domain, or else ROS_DOMAIN_ID, or else 0."""
+    """Return the given domain; default: ROS_DOMAIN_ID, or 0 if it is unset."""
     text = environment.get("ROS_DOMAIN_ID", "") or "0"
     if given is not None:
         return given
@@ -85,7 +85,7 @@ def content(name: str, cdr: bytes) -> Any:
 
 @dataclass(frozen=True)
 class RosTopic:
-    """A published topic: its full name and its ROS 2 type, for example "sensor_msgs/msg/JointState"."""
+    """Published topic: full name and ROS 2 type, for example "sensor_msgs/msg/JointState"."""
 
     name: str
     type: str
@@ -106,7 +106,7 @@ class ArmRow:
         return form.unpack_from(self.data, offset)
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """Return the numbers of a field, or an empty tuple if any is NaN, because the field is then missing."""
+        """Return the numbers of a field, or an empty tuple if any number is NaN (missing field)."""
         values = self[name]
         return () if any(map(math.isnan, values)) else values
 
@@ -116,7 +116,7 @@ class ArmRow:
         return kinematics.forward(self.robot, self["q"])
 
     def in_tool_axes(self, wrench: Sequence[float]) -> tuple[float, ...]:
-        """Return a wrench (6,) at the tool point in tool axes, from the wrench in base axes."""
+        """Rotate a wrench (6,) at the tool point from base axes to tool axes."""
         (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = self.T_base_tool.tolist()
         x, y, z, u, v, w = wrench
         return (
@@ -126,7 +126,7 @@ class ArmRow:
 
 
 def header(stamp_ns: int, frame_id: str = "") -> Any:
-    """Return a std_msgs/msg/Header with the wall clock [ns]."""
+    """Return a std_msgs/msg/Header with a wall-clock time stamp [ns]."""
     types: Mapping[str, Any] = store().types
     stamp = types["builtin_interfaces/msg/Time"](stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
     return types["std_msgs/msg/Header"](stamp, frame_id)
@@ -141,7 +141,7 @@ def _joint_state(fields: Sequence[str], arm: ArmRow) -> Any:
 
 
 def _wrench_stamped(fields: Sequence[str], arm: ArmRow) -> Any:
-    """Return the message for the first wrench in the row."""
+    """Return the message for the first available wrench among the fields."""
     wrench = next(filter(None, map(arm.numbers, fields)), None)
     if wrench is None:
         return None
@@ -172,7 +172,7 @@ def _pose_stamped(arm: ArmRow) -> Any:
 
 
 def _egm_state(arm: ArmRow) -> Any:
-    """Return the EGM states, which count from 1 in the message and from 0 in the row."""
+    """Return the EGM states, whose values start at 1 in the message but at 0 in the row."""
     types = store().types
     channel = types["abb_egm_msgs/msg/EGMChannelState"](
         name=arm.robot.name,
@@ -250,14 +250,14 @@ _PERIOD_NS = 1_000_000_000  # ns between messages of these topics
 _MONO = Struct("<q")
 
 Messages = Iterable[tuple[RosTopic, Any]]
-"""Topics and their messages of `store`."""
+"""Topics with their messages (types from `store`)."""
 
 
 class Topics:
-    """Topics of a cell, with the messages of its rows."""
+    """Topics of a cell; converts its rows to their messages."""
 
     latched: dict[str, tuple[RosTopic, Any]]
-    """Topics whose message never changes, by name; a late-joining reader also receives it."""
+    """Topics with constant messages, by name; late-joining readers also receive them."""
 
     def __init__(self, robots: Mapping[str, Robot], schema: RowSchema, tf: bool = False) -> None:
         self.answer = ""
@@ -298,7 +298,7 @@ class Topics:
         yield from self._once_a_second(mono_ns, 0, wanted)
 
     def of_silence(self, now_ns: int, wanted: Collection[str]) -> Messages:
-        """Return the messages due once per second without rows; none if a row has arrived since the last call."""
+        """Return the once-per-second messages due without rows; none if a row has arrived since the last call."""
         if self._silence is None or self._silence[0] is not self._last:
             self._silence = self._last, now_ns
             return ()
@@ -339,7 +339,7 @@ _SILENT = 1.0  # s without a packet after which an error is reported
 def diagnostics(
     robot: str, wall_ns: int, counts: Mapping[str, Any], commander: str, answer: str = "", silent: float = 0.0
 ) -> Any:
-    """Return the diagnostics of one arm; `silent`: time since its last packet [s] (infinite before the first)."""
+    """Return the diagnostics of one arm; `silent` is the time since its last packet [s] (initially infinite)."""
     types = store().types
     faults = [f"{counts[name]} {words}" for name, words in _FAULTS.items() if counts[name]]
     is_silent = silent > _SILENT
@@ -365,7 +365,7 @@ def diagnostics(
     return types["diagnostic_msgs/msg/DiagnosticArray"](header(wall_ns), [status])
 
 
-_FAULTS = {"missed": "packets missed", "late": "late answers", "drops": "packets refused"}
+_FAULTS = {"missed": "packets missed", "late": "late replies", "drops": "packets refused"}
 
 
 def _number(value: float) -> str:

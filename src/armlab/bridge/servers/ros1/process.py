@@ -23,15 +23,15 @@ from armlab.bridge.servers.ros.topics import RosTopic, store
 from armlab.bridge.servers.ros1 import relay
 from armlab.errors import LinkError
 
-_ROOM = 500  # messages queued for a slow node: 2 s of one topic's messages
-_SEND_BUFFER = 65536  # bytes; with the default a slow node would get data 30 s old
+_ROOM = 500  # maximum number of messages queued for a slow node: 2 s of one topic
+_SEND_BUFFER = 65536  # bytes; with the default size, a slow node would receive 30 s old data
 _MOST = 64  # maximum number of connections
 _SIZE = struct.Struct("<I")
 _SIZE_AND_SEQ = struct.Struct("<II")
 
 
 class Subscribers:
-    """Connections of subscribing nodes; for a slow node, messages are queued and the oldest ones dropped."""
+    """Connections of subscribing nodes; messages for a slow node are queued, and the oldest are dropped."""
 
     def __init__(self, poller: select.poll) -> None:
         self.counts: dict[str, tuple[int, int]] = {}
@@ -44,12 +44,12 @@ class Subscribers:
         return frozenset(one.topic for one in self._connections.values())
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
-        """Add a connection whose ROS header has been sent; return "" or the reason for a refusal."""
+        """Add a connection whose ROS header has been sent; return "" or the reason for refusal."""
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
             one.close()
             return f"Expected at most {_MOST} node connections. Close one."
-        with contextlib.suppress(OSError):  # already closed: the first poll reports this
+        with contextlib.suppress(OSError):  # already closed, which the first poll reports
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # otherwise messages wait for an ACK
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._connections[connection.fileno()] = one
@@ -68,7 +68,7 @@ class Subscribers:
             self._put(one, data)
 
     def check(self, number: int) -> None:
-        """Handle a polled connection, which accepts data again or has been closed."""
+        """Handle a polled connection that accepts data again or has been closed."""
         one = self._connections.get(number)
         if one is not None:
             self._put(one, None)
@@ -114,7 +114,7 @@ class _Connection:
         """Queue a message; return the number of dropped messages."""
         dropped = len(self.waiting) > _ROOM
         if dropped:
-            del self.waiting[1]  # the first one may be partly sent
+            del self.waiting[1]  # the first message may be partly sent
         self.waiting.append(data)
         return int(dropped)
 
@@ -149,7 +149,7 @@ _POLL = 1000  # ms
 _START = 8.0  # s for the relay to register its node
 _END = 2.0  # s for the relay to exit
 _ANSWER_EVERY = 1.0  # s between answers to one node
-_CLIENTS = 256  # clients whose last answer time is kept
+_CLIENTS = 256  # maximum number of clients whose last answer time is kept
 _SENTENCE = 1000  # maximum length of an answer in characters
 
 
@@ -230,7 +230,7 @@ class Ros1Process(RosServer):
         published = {name: _old(one.type) for name, one in self._topics.published.items() if name not in kept}
         taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
         about = {"node": f"armlab_{self._loop.about['cell'].replace('-', '_')}", "published": published, "taken": taken}
-        with contextlib.suppress(OSError):  # the relay has exited: its output says why
+        with contextlib.suppress(OSError):  # the relay has exited; its output explains why
             self._node.send(json.dumps(about).encode())
         until = time.monotonic() + _START
         messages: list[dict[str, Any]] = []
@@ -245,7 +245,7 @@ class Ros1Process(RosServer):
         self._receive(messages)
 
     def _messages(self) -> list[dict[str, Any]]:
-        """Return the messages received from the node; raise its last error output if it has exited."""
+        """Return the messages received from the node; if it has exited, raise an error with its last output."""
         found: list[dict[str, Any]] = []
         with contextlib.suppress(BlockingIOError):
             for _ in range(64):
@@ -278,7 +278,7 @@ class Ros1Process(RosServer):
                 self.take(message["topic"], message["content"], client)
 
     def _connect(self, message: Mapping[str, Any]) -> str:
-        """Start writing to a subscriber; return "" or the reason for a refusal."""
+        """Start writing to a subscriber; return "" or the reason for refusal."""
         if not message["connections"]:
             return "Expected a free file descriptor for the connection, got none. Raise `ulimit -n`."
         topic = message["topic"]

@@ -4,7 +4,7 @@ Standard input and output are one message socket for JSON objects. The first inp
 and "taken", the types by topic. Later inputs contain a "text" for the ROS log, or the "topic" and "id" of a connection
 to close. Outputs have a "kind": first "ready"; then "command" ("refused" if too long), or "subscriber" with the
 connection of a topic's subscriber. rospy negotiates the connection, and the bridge writes the messages. The program
-exits when its input closes, or with an error text when the master disappears.
+exits when its input closes, or with an error message when the master disappears.
 """
 
 import array
@@ -19,7 +19,7 @@ from pathlib import Path
 
 _LARGEST = 2**17
 _COMMAND = 65536  # maximum bytes of a command, as for a request to the loop
-_NAME = 256  # maximum characters of a node's name, which the node chooses
+_NAME = 256  # maximum length of a node name, which the node chooses
 _CHECK_EVERY = 0.5  # s between checks of the master
 _PATIENCE = 3.0  # s for the master to answer
 
@@ -50,7 +50,7 @@ def main() -> int:
 
 
 class _Node:
-    """Publishers and subscribers of the node, and messages from the bridge."""
+    """Publishers and subscribers of the node; handles messages from the bridge."""
 
     def __init__(self, rospy, pipe, about):
         self._rospy, self._pipe = rospy, pipe
@@ -108,7 +108,7 @@ class _Node:
         try:
             number = array.array("i", [one.socket.fileno()])
             self._pipe.sendmsg([json.dumps(message).encode()], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
-        except (AttributeError, OSError):  # closed, or refused by the system: end it, or the node would wait forever
+        except (AttributeError, OSError):  # closed or refused by the system; end it, else the node would wait forever
             _end(one)
             return False
         return True
@@ -126,7 +126,7 @@ class _Node:
         """Send a message to the bridge unless it is too long; return its size in bytes."""
         data = json.dumps(fields).encode()
         if len(data) <= _COMMAND:
-            with contextlib.suppress(OSError):  # the bridge does not read: newer commands follow
+            with contextlib.suppress(OSError):  # the bridge does not read; newer commands follow
                 self._pipe.send(data, socket.MSG_DONTWAIT)
         return len(data)
 
@@ -145,7 +145,7 @@ def _type(name):
 
 
 def _listen_at(host, network):
-    """Make rospy listen at one address only; return "" or an error text."""
+    """Make rospy listen at one address only; return "" or an error message."""
     try:
         with contextlib.closing(socket.socket()) as probe:
             probe.bind((host, 0))
@@ -158,7 +158,7 @@ def _listen_at(host, network):
 
 
 def _number(master):
-    """Return the master's process id, which changes when it restarts, or None without an answer."""
+    """Return the master's process id, which changes when it restarts, or None if it does not answer."""
     try:
         return master.getPid()
     except Exception:  # from XML-RPC, HTTP or the socket

@@ -1,4 +1,4 @@
-"""`Engine`: rosbridge v2 without sockets, converting client operations to loop requests and rows to messages."""
+"""`Engine`: rosbridge v2 without sockets; converts client operations to loop requests, and rows to messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LARGEST = 4 * 2**20  # maximum bytes queued
 
 
 class _Waiting(NamedTuple):
-    """One queued message with its time and topic."""
+    """Queued message with its time and topic."""
 
     ns: int
     topic: str
@@ -34,7 +34,7 @@ class _Waiting(NamedTuple):
 
 
 class Outbox:
-    """Queue of one client's messages."""
+    """Message queue of one client."""
 
     sent: int = 0
     dropped: int = 0
@@ -68,7 +68,7 @@ class Outbox:
         return found
 
     def is_stuck(self, now_ns: int) -> bool:
-        """Return whether the client has not read for 10 s although messages are waiting."""
+        """Return whether messages are waiting, but the client has not read for 10 s."""
         return self._since_ns is not None and now_ns - self._since_ns > _PATIENCE
 
     def _drop(self, k: int) -> None:
@@ -83,11 +83,11 @@ class Outbox:
         return one
 
 
-_IDS = 16  # ids per topic; a client with more ids is faulty
+_IDS = 16  # maximum number of ids per topic; a client with more ids is faulty
 
 
 class Subscription:
-    """Subscription of one client to one topic, at the highest rate that its ids request."""
+    """Subscription of one client to one topic, at the highest rate requested by its ids."""
 
     topic: str
     full_name: str
@@ -100,7 +100,7 @@ class Subscription:
         self._every_ns = self._most = self._due_ns = 0
 
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
-        """Add an id, or change its settings."""
+        """Add an id or change its settings."""
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
         while len(self._ids) > _IDS:
             del self._ids[next(iter(self._ids))]
@@ -180,7 +180,7 @@ _ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/ms
 
 
 class Engine:
-    """Operations and messages of all clients."""
+    """Executes the operations of all clients and sends them messages."""
 
     def __init__(self, loop: LoopEnd, dialect: Dialect = "ros2") -> None:
         robots = loop.robots()
@@ -206,7 +206,7 @@ class Engine:
         self._loop.ask(Leave(session.name))
 
     def take(self, session: ClientSession, data: bytes | str, now_ns: int) -> None:
-        """Execute an operation of a client; errors are reported in a status message."""
+        """Execute a client operation; report errors in a status message."""
         self._now_ns, operation = now_ns, None
         try:
             operation = protocol.read_operation(data)
@@ -233,7 +233,7 @@ class Engine:
                 session.status("info" if text == "Done." else "error", text, now_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Handle timeouts, and messages that are due even without rows; called ten times per second."""
+        """Handle timeouts and send messages due without rows; called ten times per second."""
         self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         self._goals.renew(now_ns)
         self._now_ns = now_ns
@@ -320,7 +320,7 @@ class Engine:
         session.status("error", why, time.monotonic_ns(), id_)
 
     def _start(self, session: ClientSession, operation: protocol.SendActionGoal) -> None:
-        """Start the goal of an action; the result contains the reason for a refusal."""
+        """Start an action goal; if it is refused, the result contains the reason."""
         action, id_, actions = operation.action, str(operation.id), self._goals.actions
 
         def on_result(status: int, code: int, text: str) -> None:

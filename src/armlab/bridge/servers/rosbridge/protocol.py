@@ -1,4 +1,4 @@
-"""rosbridge v2 in JSON: operations, messages in the dialects of ROS 1 and ROS 2, and the rosapi services.
+"""rosbridge v2 in JSON: operations, messages in ROS 1 and ROS 2 dialects, and the rosapi services.
 
 Source: RobotWebTools/rosbridge_suite, ROSBRIDGE_PROTOCOL.md.
 """
@@ -27,7 +27,7 @@ _FILLER = "structure_needs_at_least_one_member"  # field that rosbags adds to em
 
 
 def read_type(text: str) -> tuple[str, Dialect]:
-    """Return the ROS 2 name of a type, and the dialect of the given spelling."""
+    """Return the ROS 2 name of a type and the dialect of the given spelling."""
     found = _TYPE.fullmatch(text)
     if found is None:
         raise CommandRefused(
@@ -118,7 +118,7 @@ class Publish(_Operation, tag="publish", frozen=True, kw_only=True):
 
 
 class SendActionGoal(_Operation, tag="send_action_goal", frozen=True, kw_only=True):
-    """Goal of an action."""
+    """Action goal from a client."""
 
     action: _Name
     action_type: _Name | None = None
@@ -243,7 +243,7 @@ def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
 
 
 class Rosapi:
-    """The rosapi services that do not need an answer from the loop."""
+    """rosapi services that need no answer from the loop."""
 
     def __init__(
         self,

@@ -54,7 +54,7 @@ class Access:
 
 
 def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> Access:
-    """Return the access control from the server's options."""
+    """Return the access control defined by the server's options."""
     token = _token(options, os.environ if environment is None else environment)
     context = _context(options.get("certificate"), options.get("key"))
     return Access(token, context, (None, _LOCAL_PAGES, *options.get("origins", ())))
@@ -96,7 +96,7 @@ def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
     if not certificate and not key:
         return None
     if not certificate or not key:
-        raise ConfigError("Expected a certificate and a key for rosbridge, got only one of them. Give both.")
+        raise ConfigError("Expected a certificate and a key for rosbridge, got only one of them. Set both.")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
         context.load_cert_chain(certificate, key, password="")
@@ -108,12 +108,12 @@ def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
 
 
 _CLIENTS = 16
-_SEND_BUFFER = 65536  # bytes; with the default a slow client would get data 30 s old
-_KEPT = 100  # disconnected clients whose counts are kept
+_SEND_BUFFER = 65536  # bytes; with the default size, a slow client would receive 30 s old data
+_KEPT = 100  # number of disconnected clients whose counts are kept
 _TICK = 0.1  # s between calls of `Engine.tick`
 _WRITE_LIMIT = 16384  # bytes buffered in the process before a send blocks
 _CLOSING = 0.5  # s for a client to close its connection
-_PING, _PONG = 5.0, 10.0  # s between pings, and without an answer before a client counts as lost
+_PING, _PONG = 5.0, 10.0  # s between pings, and s without a pong after which a client counts as lost
 
 
 class RosbridgeServer:
@@ -141,7 +141,7 @@ class RosbridgeServer:
             ssl=self._access.context,
             origins=self._access.origins,
             process_request=self._judge,
-            compression=None,  # would take longer than everything else
+            compression=None,  # compression would take longer than everything else
             max_size=LARGEST,
             write_limit=_WRITE_LIMIT,
             close_timeout=_CLOSING,
@@ -162,7 +162,7 @@ class RosbridgeServer:
             running.remove_reader(self._loop.fileno())
 
     def _receive(self) -> None:
-        """Handle messages from the loop, and send the resulting messages to the clients."""
+        """Handle messages from the loop and send the resulting messages to the clients."""
         messages = self._loop.receive()
         if messages is None:
             self._over.set()
@@ -176,7 +176,7 @@ class RosbridgeServer:
             self._send(self._connections[name], session)
 
     def _tick(self) -> None:
-        """Handle timeouts, and disconnect blocked clients."""
+        """Handle timeouts and disconnect blocked clients."""
         now = time.monotonic_ns()
         self._engine.tick(now)
         self._receive()

@@ -32,8 +32,8 @@ from armlab.wire.egm import Codec, Drop, Packet, Reference
 
 _VIEW = 30.0  # rows/s on the key "view"
 _DISCOVERY = 0.5  # s allowed for discovering all robots of a lab
-_KEPT = 5000  # queued messages, beyond which the oldest are dropped
-_TEXT = 2**16  # bytes that a text message counts for in the inbox
+_KEPT = 5000  # maximum number of queued messages, beyond which the oldest are dropped
+_TEXT = 2**16  # bytes: nominal size of a text message in the inbox
 
 
 def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tuple[str, str]]:
@@ -54,10 +54,10 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
         self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
-        self._gaps: dict[str, Gaps] = {}  # for robots with a subscription to every row
+        self._gaps: dict[str, Gaps] = {}  # only for robots with a subscription to every row
         self._pace: Pace | None = None
         self._gone: float | None = None  # time of the disconnection
-        self._is_unsure = False  # True until a returned bridge has reported its run
+        self._is_unsure = False  # True until a reconnected bridge has reported its run
         self._session = self._place.open(patience)
         try:
             known = [robot] if robot else self._robots()
@@ -190,7 +190,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
         self._gone = time.monotonic() if has_gone else None
         if has_gone:
             self._is_unsure = True
-            self._report(f"The bridge of {self.cell} or the connection to it is gone.")
+            self._report(f"The bridge of {self.cell} or the connection to it was lost.")
 
     def _has_ended(self) -> bool:
         gone = self._gone  # may be changed by a Zenoh thread
@@ -207,7 +207,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
             return
         self._is_unsure = False
         if reply.run == self._run:
-            self._report(f"The bridge of {self.cell} is back, in the same run.")
+            self._report(f"The bridge of {self.cell} is back in the same run.")
             return
         self._run = reply.run
         self._take(*reply.messages)
@@ -217,13 +217,13 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
         self._take({"kind": "event", "stamp_ns": time.time_ns(), "text": text})
 
     def _take(self, *messages: bytes | dict[str, Any]) -> None:
-        """Queue messages from a Zenoh thread, and wake the reader."""
+        """Queue messages from a Zenoh thread and wake the reader."""
         for message in messages:
             self._messages.put(message, len(message) if isinstance(message, bytes) else _TEXT)
 
 
 def _whole(data: bytes) -> About:
-    """Return a bridge's reply to "about"; raise if its rows lack a field that `Watch` reads."""
+    """Decode a bridge's reply to "about"; raise an error if its rows lack a field that `Watch` reads."""
     about = read_about(data)
     for robot in about.robots.values():
         about.schema.require(robot)
@@ -245,7 +245,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class ZenohPort:
-    """Port that receives the rows of an arm in place of datagrams, from Zenoh's threads; never blocks."""
+    """Port that receives the rows of an arm from Zenoh threads instead of datagrams; it never blocks."""
 
     host: str
     port: int
@@ -291,7 +291,7 @@ class ZenohPort:
         return Arrival(data, (self.host, self.port), time.monotonic_ns()) if data else None
 
     def flush(self) -> None:
-        """Discard the queued rows."""
+        """Discard all queued rows."""
         for _ in range(4000):
             if self.receive() is None:
                 break
@@ -318,7 +318,7 @@ class ZenohPort:
 
 
 class ZenohCodec(RowsAsPackets):
-    """Codec that converts rows to packets of the loop, and references to commands."""
+    """Codec that converts rows to packets for the loop, and references to commands."""
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
         super().__init__()
@@ -326,7 +326,7 @@ class ZenohCodec(RowsAsPackets):
         self._name, self._schema = robot.name, schema
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or the reason for dropping the row."""
+        """Convert a row to a packet, or return the reason for dropping the row."""
         if data == _DAMAGED:
             return Drop("damaged", "a row with a wrong checksum")
         try:
@@ -347,13 +347,13 @@ class ZenohCodec(RowsAsPackets):
         )
 
     def encode(self, ref: Reference) -> bytes:
-        """Return a command as bytes: positions, or positions and velocities."""
+        """Encode a command: positions, or positions and velocities."""
         parts = [ref.q] if ref.qd is None else [ref.q, ref.qd]
         return np.concatenate(parts).astype("<f8").tobytes()
 
 
 def _check(schema: RowSchema, robot: Robot) -> None:
-    """Raise if the rows lack this arm, or contain a different arm with the same name."""
+    """Raise an error if the rows lack this arm or contain a different arm with the same name."""
     if robot.name not in schema.robots:
         raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
     schema.require(robot)

@@ -1,4 +1,4 @@
-"""Zenoh messages: keys, attachments, text messages, rows with checksums, and the queue of a client."""
+"""Zenoh messages: keys, attachments, text messages, rows with checksums, and the inbox of a client."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Attachment(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The complete and unique sender id in hexadecimal."""
+        """Complete sender id in hexadecimal, which is unique."""
         return self.sender.hex()
 
 
@@ -108,7 +108,7 @@ _Text = _Parameters | _Recording | _Event | _Status
 
 
 class About(NamedTuple):
-    """Reply of a bridge to the query "about"."""
+    """Bridge reply to the query "about"."""
 
     messages: list[dict[str, Any]]
     schema: RowSchema
@@ -132,9 +132,9 @@ def read_about(data: bytes) -> About:
     robots = {name: replace(from_toml(text, f"the bridge of {name}"), name=name) for name, text in about.robots.items()}
     for robot in robots.values():
         schema.require(robot, whole=False)
-    for field in schema.fields.values():  # a `Watch` identifies the arms by these texts
+    for field in schema.fields.values():  # `Watch` identifies the arms by these fields
         if field.type == "text" and field.name.removesuffix(".commander") not in robots:
-            raise LinkError(f"Expected the commanders of arms to be the only texts in rows, got {field.name[:60]}.")
+            raise LinkError(f"Expected the commander fields to be the only texts in rows, got {field.name[:60]}.")
     return About([{**messages[0], "kind": "about"}, *messages[1:]], schema, robots, about.run, about.cell)
 
 
@@ -162,13 +162,13 @@ def _converted(value: Any, type: Any) -> Any:
 
 
 _MOST = 2**26  # bytes in an inbox: ten seconds of rows from twenty arms at the full rate
-_LEAST = 256  # minimum bytes that a message counts for
+_LEAST = 256  # bytes: minimum nominal size of a message
 
 T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """Queue of messages from Zenoh's threads; when full, it drops the oldest messages."""
+    """Queue of messages from Zenoh threads; when full, it drops the oldest messages."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
@@ -206,7 +206,7 @@ _NUMBER = struct.Struct("<q")
 
 
 class Gaps:
-    """Counter of missing rows for a subscriber to all rows of an arm (keys "state" and "live")."""
+    """Counts missing rows for a subscriber to all rows of an arm (keys "state" and "live")."""
 
     rows: int = 0
     lost: int = 0

@@ -27,7 +27,7 @@ _VIEW = 33_000_000  # ns between rows on the key "view"
 _STATUS = 500_000_000  # ns between status messages
 _LONGEST = 65536  # maximum bytes of a setting
 _MOST = 64  # maximum number of joints
-_CLIENTS = 256  # clients whose robot for answers is kept
+_CLIENTS = 256  # maximum number of clients whose robot is kept for answers
 _MONO = struct.Struct("<q")
 _UNKNOWN = "unknown"
 
@@ -40,8 +40,8 @@ class ZenohProcess:
         self._lab = options["lab"]
         self._arms = {name: _ArmOutput(self._loop, name) for name in self._loop.schema.robots}
         self._recording: dict[str, Any] = {}
-        self._answers: dict[str, str] = {}  # client -> robot whose key carries the answers
-        self._declared: list[Any] = []  # objects that are undeclared with their last reference
+        self._answers: dict[str, str] = {}  # client -> robot in the key of the answers
+        self._declared: list[Any] = []  # deleting the last reference to an object undeclares it
         commands = "zenoh" in self._loop.about.get("commands", ())
         self._session, self._where = open_near(
             options["host"], options["port"], options.get("router", ""), Security.of(options), commands
@@ -101,7 +101,7 @@ class ZenohProcess:
                 arm.texts["events"].put(msgspec.json.encode(message))
 
     def _command(self, robot: str, sample: Any) -> None:
-        """Handle a command; answer an invalid one with the reason."""
+        """Handle a command; if it is invalid, answer with the reason."""
         kind, client = str(sample.key_expr).rpartition("/")[2], _UNKNOWN
         try:
             attached = Attachment.read(data_of(sample.attachment))

@@ -13,7 +13,7 @@ COMMANDER = "commander"
 """Name of the user who may command and set parameters."""
 
 BRIDGE = "bridge"
-"""Name of the user for bridges, the only user who may publish at a remote router."""
+"""User name of bridges; only this user may publish at a remote router."""
 
 USERS = (COMMANDER, BRIDGE, "viewer")
 """Names of all users; each has a password."""
@@ -59,7 +59,7 @@ class Security:
 
     @property
     def is_safe(self) -> bool:
-        """Whether the link is encrypted and users need passwords, so that clients on other computers may command."""
+        """Whether the link is encrypted and users need passwords, so clients on other computers may command."""
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _lines(path: Path) -> list[tuple[str, str]]:
 
 
 def _rules() -> dict[str, Any]:
-    """Return the access rules: anyone may read, query and stop; only `COMMANDER` may command, only bridges publish."""
+    """Return the access rules: anyone may read, query and stop; only `COMMANDER` may command; only bridges publish."""
     everything = "armlab/**"
     commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
     reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]

@@ -20,17 +20,17 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to accept a connection
-_ROOM = 16  # messages queued per connection (the maximum): two are too few while a process is not scheduled
+_ROOM = 16  # messages queued per connection (the maximum); two are too few while a process is not scheduled
 _BEFORE_DROP = 20_000  # us before the first drop, because a slow reader may only be waiting for the processor
-_BEFORE_CLOSE = 250_000  # us until a blocked link closes after seconds of buffering: a blocked put delays declarations
+_BEFORE_CLOSE = 250_000  # us until a blocked link closes, after seconds of buffering; a blocked put delays declarations
 _TRIES = 2  # attempts to become or find a router, because a router may end in between
 _FOUND = 1.0  # s allowed for finding a router on this computer
 _ANYWHERE = "0.0.0.0"
-# Maximum size of a fragmented message. Our largest, a reply to "about", has three texts of 2**17 bytes; our router also
-# forwards messages of other programs, such as small images.
+# Maximum size of a fragmented message. Our largest message, a reply to "about", has three texts of 2**17 bytes. Our
+# router also forwards messages of other programs, such as small images.
 _LARGEST = 2**20
 _ANSWERS = 2**26  # bytes of all replies to a query: a few KiB from each of a thousand bridges
-_UNUSED = "127.0.0.2"  # local address at which only programs listen that use every address
+_UNUSED = "127.0.0.2"  # local address used only by programs that listen at every address
 
 _open: set[Any] = set()
 _lock = threading.Lock()
@@ -67,7 +67,7 @@ def open_session(
         "connect/exit_on_failure": False,
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
-        **({"scouting/delay": 0} if mode == "router" else {}),  # the default is to wait 0.5 s for multicast
+        **({"scouting/delay": 0} if mode == "router" else {}),  # by default, a router waits 0.5 s for multicast
         "transport/unicast/open_timeout": _OPENED,
         "transport/link/rx/max_message_size": _LARGEST,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _BEFORE_DROP,
@@ -94,7 +94,7 @@ def open_session(
 def open_near(
     host: str, port: int, router: str = "", security: Security | None = None, commands: bool = False
 ) -> tuple[Any, str]:
-    """Return the session of a server and its location as text; it becomes a router unless the port already has one.
+    """Return a server session and its location as text; the session is a router unless the port already has one.
 
     If another server's router uses the port, the session joins it and listens at a port chosen by the system. `router`
     is the "HOST:PORT" of a router on another computer.
@@ -143,7 +143,7 @@ def _opened(
 
 
 def _free_port(host: str) -> int:
-    """Return a free port; Zenoh does not report a port that the system chose."""
+    """Return a free port, because Zenoh does not report a port chosen by the system."""
     with socket.socket() as probe:
         try:
             probe.bind((host, 0))
@@ -155,7 +155,7 @@ def _free_port(host: str) -> int:
 
 
 def _check_router(router: str, is_open: bool) -> None:
-    """Raise if the configured router would let any client command."""
+    """Raise an error if the configured router would let any client command."""
     port = router.rpartition(":")[2]
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 2**16):
         raise ConfigError(f"Expected a router such as 192.168.1.9:7447, got {router!r}.")
@@ -169,11 +169,11 @@ def _check_router(router: str, is_open: bool) -> None:
 
 
 def _check_router_here(host: str, port: int, is_open: bool) -> None:
-    """Raise for a router at our port that lets any client command, or that does not listen at our address."""
+    """Raise an error if a router at our port lets any client command, or does not listen at our address."""
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
-        except OSError:  # in use at every address, or on some systems possibly at a different one only
+        except OSError:  # in use at every address or, on some systems, possibly at only one other address
             if is_open:
                 raise ConfigError(
                     f"Expected no commands from other computers, but the Zenoh router at port {port} listens at every "
@@ -199,7 +199,7 @@ def wait_for_router(session: Any, patience: float) -> bool:
 
 
 def close_session(session: Any) -> None:
-    """Close a session, unless it is closed already."""
+    """Close a session unless it is already closed."""
     with _lock:
         known = session in _open
         _open.discard(session)
@@ -237,7 +237,7 @@ _ANSWER = 2.0  # s for a reply
 
 
 class Discovery:
-    """Sender of "about" queries: at most two per second to each bridge."""
+    """Sends "about" queries, at most two per second to each bridge."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
@@ -280,7 +280,7 @@ class LabAddress(NamedTuple):
 
     @classmethod
     def read(cls, url: str) -> LabAddress:
-        """Return the address in ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is required."""
+        """Parse a URL ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is required."""
         parts = split_url(url)
         try:
             host, port = parts.hostname, parts.port
