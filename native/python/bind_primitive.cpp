@@ -229,8 +229,8 @@ struct Orientation : Finite {
   Orientation(nb::handle value, const char *name) : Finite(value, name, {4}) {
     const double *q = data(), square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     if (!(square > 1e-12 && square < 1e12))
-      raise_shape_error(
-          std::string("Expected a unit quaternion wxyz as ") + name + ", got another length.");
+      raise_shape_error(std::string("Expected a unit quaternion wxyz as ") + name + ", got norm " +
+                        std::to_string(std::sqrt(square)) + ".");
   }
 };
 

@@ -390,7 +390,7 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
 
     monkeypatch.setattr("armlab.bridge.control.loop.mmap", none_left)
     link = play.link()
-    with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
+    with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. Close other"):
         play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
     assert log.inspect(tmp_path / "run.mcap").finished
     assert link.last.reason == "the memory needed to end the run is missing"

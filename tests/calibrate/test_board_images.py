@@ -82,7 +82,7 @@ def test_a_board_in_images_gives_camera_and_marker() -> None:
     fit = calibrate.fit_hand_eye_images(A, found)
     assert np.all(np.abs(errors(fit, X, Y)) < 5 * fit.sd[:12])
     assert np.linalg.norm(fit.value.X[:3, 3] - X[:3, 3]) < 3e-3
-    assert "3.png: 0 corners" in found.report()
+    assert "3.png: 0 board corners" in found.report()
 
 
 def exact_corners(seen: np.ndarray, rng, sd: float, dist=None) -> dict:
@@ -175,7 +175,7 @@ def test_boards_that_cannot_be_are_refused(board, words) -> None:
 
 def test_images_that_are_none_or_show_too_little_are_refused_by_name() -> None:
     blank = np.full((48, 64), 128, np.uint8)
-    with pytest.raises(NotExcited, match=r"in at least 3 images, but it was found in 0 of 2 \(a.png: 0 corners"):
+    with pytest.raises(NotExcited, match=r"in at least 3 images, but it was found in 0 of 2 \(a.png: 0 board corners"):
         calibrate.board_poses({"a.png": blank, "b.png": blank}, CHARUCO, intrinsics=(K, []))
     with pytest.raises(ShapeError, match="8-bit images"):
         calibrate.board_poses([blank.astype(float)], CHARUCO)

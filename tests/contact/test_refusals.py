@@ -46,7 +46,7 @@ CASES: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "120 m away", estimator(point=(0.0, 0.0, 120.0))),
     (ShapeError, r"within \S+ m of the tool.*'ur5e', got one 120 m away.*millimetres by 1000",
      lambda s: check_distance(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 120.0]]), UR5E)),
-    (ShapeError, "belongs to", lambda s: Estimator(s.model, YUMI).run(
+    (ShapeError, "to which the model belongs", lambda s: Estimator(s.model, YUMI).run(
         Table(s.log.t, {name: s.log[name][:, :6] for name in ("q", "qd", "tau")}))),
     (ShapeError, "degrees", lambda s: Estimator(s.model, YUMI).run(degrees(s.log))),
     (NotExcited, "Expected measured torques",

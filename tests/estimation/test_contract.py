@@ -149,7 +149,7 @@ def test_refusals_need_the_name_of_the_direction() -> None:
 
     found = check(nameless, FEW)
     assert found.failed == ("refuses",)
-    assert "named something" in found["refuses"].text
+    assert "reported as something" in found["refuses"].text
     assert "was accepted" in check(eager, FEW)["refuses"].text
 
 

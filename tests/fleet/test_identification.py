@@ -135,7 +135,7 @@ def test_shapes_of_friction_that_no_worker_can_choose_end_it(
     folder: Path, short_arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(identification, "choose", lambda choice: (_ for _ in ()).throw(MemoryError("too large")))
-    with pytest.raises(LogError, match="friction structure of joint 1, but: too large"):
+    with pytest.raises(LogError, match="friction structure for joint 1, but its selection failed: too large"):
         fleet.identify(folder, short_arm.robot)
 
 

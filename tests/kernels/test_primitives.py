@@ -215,7 +215,7 @@ def test_a_goal_half_a_turn_away_breaks_nothing() -> None:
         ({"t": [0.0, np.nan]}, "finite t"),
         ({"t": [0.0, 1e9]}, "time constants"),
         ({"tau": 0.0}, "tau above zero"),
-        ({"q0": np.zeros(4)}, "length 1 as q0"),
+        ({"q0": np.zeros(4)}, "a unit quaternion wxyz as q0, got norm 0"),
         ({"goal": np.zeros(3)}, "goal of shape"),
         ({"w0": [0, np.inf, 0]}, "finite w0"),
         ({"map": np.eye(4)}, "map of shape"),

@@ -251,7 +251,7 @@ def test_what_matlab_sees(table: Table, tmp_path: Path) -> None:
 
 def test_columns_of_two_gigabytes_are_refused(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armlab.log.file_formats.mat.LARGEST", 63)
-    with pytest.raises(LogError, match=r"below 2 GB for a MAT file of version 5, got .* in 'q'\. Write HDF5.*\.h5"):
+    with pytest.raises(LogError, match=r"below 2 GB for a MAT file of version 5, got .* in 'q'\. To write HDF5.*\.h5"):
         log.write(table, tmp_path / "run.mat")
     assert not list(tmp_path.iterdir())
 

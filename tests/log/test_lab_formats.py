@@ -235,7 +235,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     first = "irb2ext.robot[0].joint[0].posRawAbs"
     twice = table.with_column("other.robot[0].joint[0].posRawAbs", table[first], unit="1")
     for wrong, arm, words in (
-        (table, 1, r"robot\[1\]\.joint\[0\]\.posRawAbs and so on, got arms 0\. Give another arm"),
+        (table, 1, r"robot\[1\]\.joint\[0\]\.posRawAbs and so on, got arms 0\. Pass another arm"),
         (table.select("force.sensor[0]"), 0, "got columns force"),
         (table.without(first.replace("joint[0]", "joint[4]")), 0, r"of 7 joints of robot\[0\] .*but joints \[4\] are"),
         (twice, 0, r"one posRawAbs per joint, got irb2ext.* and other"),

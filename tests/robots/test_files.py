@@ -229,7 +229,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     ('name = "mine"', 'name = "mine"\ninertias = [[1, 2]]', r"at `\$\.inertias\[0\]`"),
     ('name = "mine"', f'name = "mine"\ninertias = [{[1] + [0] * 9}]', r"inertias .* to have shape \(2, 10\),"),
     ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "inertia of link 1 .* mass of -1 kg"),
-    ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "link of mesh 'a' from 0 .* to 2, got 3"),
+    ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "mesh 'a' on a link from 0 .* to 2, got 3"),
     ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got ''"),
     ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1 }]', r"missing required field `file` - at"),
     ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),

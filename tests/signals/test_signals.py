@@ -226,7 +226,7 @@ def test_decimate_keeps_what_is_slow_and_stops_what_would_alias() -> None:
 
 BAD = np.where(np.arange(100)[:, None] == 7, np.nan, np.ones((100, 2)))
 X, SHORT = np.ones(100), T[:100]
-NAN_IN_7, NUMBER = r"NaN or Inf in 1 rows, first \[7\]", "got a number"
+NAN_IN_7, NUMBER = r"NaN or Inf in 1 rows, first \[7\]", "got a single number"
 INCREASING = "increasing times for 4 samples, got "
 
 
