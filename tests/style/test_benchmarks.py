@@ -328,5 +328,5 @@ def test_second_run_is_compared_with_the_published_one(
     assert measured(2.0) == 0
     assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in page.read_text(encoding="utf-8")
     assert measured(2.0) == 0
-    assert "0 differ by more than a tenth" in page.read_text(encoding="utf-8"), "with the last one published"
+    assert "0 differ by more than 10 %" in page.read_text(encoding="utf-8"), "with the last one published"
     assert "Measuring lie (2 of 2, 0 min) ..." in capsys.readouterr().out
