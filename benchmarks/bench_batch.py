@@ -29,7 +29,8 @@ blocks that fit into the cache, rather than the more obvious stacks of 4×4 matr
 """
 NEW = """\
 Results are new arrays. The operating system clears every new page, which takes as long as the computation, in armlab
-and in NumPy. To compute this many poses repeatedly, pass `out=`. The target uses straightforward NumPy code.
+and in NumPy. To compute this many poses repeatedly, pass `out=`. The target refers to a straightforward NumPy
+implementation.
 """
 WALL = "wall-clock time; includes waiting for cores used by other processes"
 

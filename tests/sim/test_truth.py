@@ -78,7 +78,10 @@ def test_what_a_file_says_of_drives_takes_the_place_of_the_proportions(tmp_path:
     np.testing.assert_allclose(truth.coulomb_pos / 1.05, [3.0, *(0.05 * robot.tau_max[1:6]), 1.0])
     np.testing.assert_array_equal([truth.viscous[0], truth.rotor[3], truth.tau_noise[6]], [2.0, 0.5, 0.1])
     assert robot.hash == robots.load("panda").hash
-    for wrong, words in ((("gain", (1.0,) * 7), "among friction"), (("noise", (1.0,)), "7 finite, non-negative numbers")):
+    for wrong, words in (
+        (("gain", (1.0,) * 7), "among friction"),
+        (("noise", (1.0,)), "7 finite, non-negative numbers"),
+    ):
         with pytest.raises(RobotError, match=words):
             replace(robot, drives=(wrong,))
 

@@ -176,7 +176,7 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     n = len(robot.joint_names)
-    given = range(n) if joints is None else members(joints, f"numbers of joints from 0 to {n - 1}", UnknownName)
+    given = range(n) if joints is None else members(joints, f"joint indices from 0 to {n - 1}", UnknownName)
     found = sorted({int(one) for one in given if isinstance(one, int | np.integer)} & {*range(n)})
     if not found or len(found) != len(given):
         raise UnknownName(

@@ -133,7 +133,8 @@ def mass_matrix(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None
 
 
 def coriolis(robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the Coriolis and centrifugal torques ``C(q, qd) qd`` (..., n) [N m or N]; the matrix is `coriolis_matrix`.
+    """Return the Coriolis and centrifugal torques ``C(q, qd) qd`` (..., n) [N m or N]; `coriolis_matrix` returns the
+    matrix itself.
 
     Parameters
     ----------

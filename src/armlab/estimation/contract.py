@@ -162,7 +162,7 @@ def efficient(trial: ContractTrial) -> Verdict:
         ratio = float(np.sqrt(np.mean(e[:, index] ** 2 / scale) / np.mean(variance[:, index] / scale)))
         limit = trial.limits.efficient + STANDARD_ERRORS / np.sqrt(2.0 * len(index) * len(runs))
         passed &= ratio <= limit
-        parts.append(f"{name} {ratio:.3f} (accepted {limit:.3f})")
+        parts.append(f"{name} {ratio:.3f} (limit {limit:.3f})")
     text = "ratio of the error to the Cramer-Rao bound: " + ", ".join(parts)
     return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged only for {ENOUGH} runs or more")
 

@@ -433,7 +433,7 @@ def nonlinear_least_squares(
 
     Parameters
     ----------
-    problem : residuals with Jacobian, and retraction. The noise of measurements without covariance is estimated.
+    problem : residuals with Jacobian, and retraction. The noise of measurements without a covariance is estimated.
     start : initial value.
     robust : detect outliers among the samples; `outliers` marks them.
     schedule : values of c of the graduated loss, in standard deviations, for given noise.

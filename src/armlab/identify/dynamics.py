@@ -249,7 +249,7 @@ def _moving(
 
 
 def _with_resting(fit: Fit[TorqueModel], prior: Fit[TorqueModel], rest: np.ndarray) -> Fit[TorqueModel]:
-    """Return the fit with the prior's parameters for joints (n,) at rest, and a note."""
+    """Return the fit, with the prior's parameters for the joints at rest (mask (n,)), and a note."""
     own, known, n = places_of_joints(fit), places_of_joints(prior), len(rest)
     if len(known) != n or len(own) != n - np.count_nonzero(rest):
         return fit

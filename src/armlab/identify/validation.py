@@ -293,7 +293,7 @@ MAX_LOG_RATIO = 15.0
 UNIFORM = 12.0  # information of a uniform distribution, times its width squared
 SLOWEST, FASTEST = 0.02, 0.6  # range of the threshold in quantiles of speed
 FEWEST_BELOW = 20  # samples below the threshold
-AROUND = 50  # samples on either side of the threshold for the density of speeds
+AROUND = 50  # samples on either side of the threshold, for the speed density
 TINY = 1e-12
 
 

@@ -67,7 +67,7 @@ def address(server: ViserServer) -> str:
 
     Parameters
     ----------
-    server : from `start`.
+    server : the server returned by `start`.
     """
     return f"http://{HOST}:{server.get_port()}"
 
@@ -77,7 +77,7 @@ def stop(server: ViserServer) -> None:
 
     Parameters
     ----------
-    server : from `start`.
+    server : the server returned by `start`.
     """
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()

@@ -369,7 +369,7 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RippleLines(Shown):
-    """Torque ripple of n joints as L lines over position.
+    """Torque ripple of n joints as a sum of L sinusoids in position.
 
     Attributes
     ----------

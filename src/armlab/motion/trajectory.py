@@ -138,7 +138,7 @@ class JointTrajectory(Shown):
 
         Parameters
         ----------
-        joints : names in the order of the robot, for example `Robot.ros_joint_names`.
+        joints : names in the robot's joint order, for example `Robot.ros_joint_names`.
 
         Raises
         ------

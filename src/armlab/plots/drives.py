@@ -98,7 +98,7 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
 
 
 def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
-    """Return the index in the fit of each joint's friction parameters, such as {"viscous": 45, "coulomb+": 46}."""
+    """Return, per joint, the index of each friction parameter in the fit, such as {"viscous": 45, "coulomb+": 46}."""
     joints: list[dict[str, int]] = []
     for place in range(len(fit.value.base_names), len(fit.names)):
         kind = fit.names[place].split()[0]

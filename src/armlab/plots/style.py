@@ -53,7 +53,7 @@ def look() -> Iterator[None]:
 
     with mpl.rc_context(_RC):
         yield
-        interactive = mpl.is_interactive()  # a notebook backend, loaded by the first figure, enables it
+        interactive = mpl.is_interactive()  # the first figure loads the notebook backend, which enables it
     mpl.interactive(interactive)
 
 

@@ -401,7 +401,7 @@ def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = F
 
 
 def causes(robot: Robot) -> str:
-    """Return the usual causes of a distant position and, for coupled axes, the coordinates of the reported numbers."""
+    """Return the usual causes of a jump and, for coupled axes, a note that the numbers are axis positions."""
     usual = "Usual causes are degrees instead of radians, or a different joint order."
     are_joints = Linkage.of(robot) is None
     return usual if are_joints else f"{usual} The numbers are positions of ABB's axes, which may combine joints."

@@ -88,8 +88,8 @@ def fit_dual_arm(
 
     Raises
     ------
-    NotExcited : unidentifiable directions (named in the message). A closed chain never determines the overall scale and
-        the common motion of both tools; weak="prior" constrains them.
+    NotExcited : unidentifiable directions (named in the message). A closed chain cannot determine the overall scale or
+    a common motion of both tools; weak="prior" constrains them.
     NotConverged : inconsistent samples.
     ShapeError, ConfigError, UnknownName : as in `fit_kinematics`.
 

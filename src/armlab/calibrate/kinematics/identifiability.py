@@ -1,6 +1,7 @@
 """Identifiability of the parameters of an arm: gauge, directions that the measurements never determine, joints at rest.
 
-Directions are in units of the limits. There are three classes of unobservable directions:
+The components of a direction are relative to the limits of their parameters. There are three classes of unobservable
+directions:
 
 gauge           motion that can be moved from one frame to the next without effect
 structural      a tool point does not determine the tool orientation, and a distance does not determine the base

@@ -294,7 +294,7 @@ def _lines(
 
 
 def _map(basis: RadialBasis, maps: dict[int, np.ndarray], model: TorqueModel, rest: np.ndarray) -> FrictionMap:
-    """Return the friction map of some joints; joints at rest (n,) keep the map of the model."""
+    """Return the friction map of the moving joints; those at rest (mask (n,)) keep the model's map."""
     before = model.friction_map
     kept = rest if before is not None and before.basis.size == basis.size else np.zeros_like(rest)
     if before is not None and kept.any():

@@ -406,7 +406,7 @@ def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collect
     return found
 
 
-_BATCH = 8  # chunks per task of a reading thread
+_BATCH = 8  # chunks per reader-thread task
 
 
 @dataclass(slots=True)

@@ -156,7 +156,7 @@ def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
 
 def _hold(value: Any) -> float:
     if not at_least_zero(value, "hold") <= MAX_HOLD:
-        raise ConfigError(f"Expected a hold up to {MAX_HOLD:g} durations, got {value:g}. Try 0.3.")
+        raise ConfigError(f"Expected a hold of at most {MAX_HOLD:g} times the duration, got {value:g}. Try 0.3.")
     return float(value)
 
 

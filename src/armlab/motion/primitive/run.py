@@ -85,7 +85,7 @@ class RunParameters:
     ) -> RunParameters:
         """Fill in omitted `RunOptions` from the demonstration.
 
-        `runs` is the number of runs (1 for one run per start), or None for a single run with arrays (n,).
+        `runs` is the number of runs, or 1 if the starts set it; None means a single run with arrays of shape (n,).
         """
         tau = _tau(dmp, duration, tau_d)
         given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}

@@ -73,7 +73,7 @@ class UdpClient:
         return self._packet is not None
 
     def send(self) -> None:
-        """Send the prepared packet, subject to the faults."""
+        """Send the prepared packet with the simulated faults."""
         controller = self.controller
         datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
         if self._outgoing is not None:

@@ -96,7 +96,7 @@ class Packet(NamedTuple):
 
 
 class Drop(NamedTuple):
-    """Datagram that gets no reply: the reason (one of `DROP_REASONS`) and a detail."""
+    """Datagram dropped without a reply: the reason (one of `DROP_REASONS`) and details."""
 
     reason: str
     detail: str

@@ -66,7 +66,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
             self._schema = about.schema
             if not set(known) <= set(self._schema.robots):
                 names = ", ".join(known)
-                raise ConfigError(f"Expected the name of a robot, because several cells serve this lab: {names}.")
+                raise ConfigError(f"Expected a robot name, because this lab has several cells: {names}.")
         except BaseException:
             self.close()
             raise
