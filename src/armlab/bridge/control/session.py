@@ -114,7 +114,8 @@ class RobotClock:
             self._report_once(
                 "fast",
                 f"The robot's clock runs faster than the local clock: it reports {1e3 * claimed:.1f} ms between "
-                f"packets that arrived {1e3 * arrived:.1f} ms apart. The time step is limited to the interval between arrivals.",
+                f"packets that arrived {1e3 * arrived:.1f} ms apart. The time step is "
+                "limited to the interval between arrivals.",
             )
         forgotten = min(abs(self._lead), _DRIFT * arrived)
         self._lead -= forgotten if self._lead > 0.0 else -forgotten
