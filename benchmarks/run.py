@@ -7,8 +7,8 @@
 
 A benchmark is a file ``bench_NAME.py`` in this folder with a function ``run(quick) -> list[blocks.Table]``. It runs in
 a separate process, so benchmarks do not affect each other. The report (Markdown and a picture) goes to
-``benchmarks/results``. It states the duration of each benchmark, and compares it with the baseline of the last
-published run.
+``benchmarks/results``. It states the duration of each benchmark, and compares the figures with the baseline of
+the last published run.
 """
 
 from __future__ import annotations

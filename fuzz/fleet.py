@@ -47,7 +47,7 @@ def _schema() -> RowSchema:
 def fleet(data: bytes) -> None:
     """Answer to "about", text and row, separated by NUL; every reader must accept or reject them cleanly.
 
-    The row is read with the schema in the answer, if any, and with the schema of the arm.
+    The row is also read with the schema in the answer or, if there is none, with the schema of the arm.
     """
     about, _, rest = data.partition(b"\0")
     text, _, row = rest.partition(b"\0")

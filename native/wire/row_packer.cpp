@@ -287,7 +287,7 @@ nb::object filled(nb::handle kind, nb::tuple slots, nb::tuple values) {
   for (std::size_t k = 0; k < slots.size(); ++k) {
     const nb::handle slot = slots[k];
     if (!PyObject_TypeCheck(slot.ptr(), &PyMemberDescr_Type))
-      throw nb::type_error("Expected names of slots of the class.");
+      throw nb::type_error("Expected slot descriptors of the class.");
     if (Py_TYPE(slot.ptr())->tp_descr_set(slot.ptr(), made.ptr(), nb::handle(values[k]).ptr()))
       throw nb::python_error();
   }

@@ -177,7 +177,7 @@ struct Body {
   void add(const Pose<Real> &T, const Body &b) {
     const Vec3<Real> Rh = T.turn(b.h), &p = T.p;
     const Vec3<Real> rows[3] = {
-        {T.x.x, T.y.x, T.z.x}, {T.x.y, T.y.y, T.z.y}, {T.x.z, T.y.z, T.z.z}};  // columns of R
+        {T.x.x, T.y.x, T.z.x}, {T.x.y, T.y.y, T.z.y}, {T.x.z, T.y.z, T.z.z}};  // rows of R
     const Vec3<Real> turned[3] = {b.inertia(rows[0]), b.inertia(rows[1]), b.inertia(rows[2])};
     const Real trace = Real(2.0) * dot(p, Rh) + b.m * dot(p, p);
     const Vec3<Real> q = Rh + b.m * p;

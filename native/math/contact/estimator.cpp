@@ -125,8 +125,8 @@ void WrenchEstimator::step(
     e.error[i] = begins ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
     const double filtered =
         std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
-    if (band) {  // the bound includes the velocity-dependent error near rest, and the error due to
-                 // a missing acceleration
+    if (band) {  // the bound includes the velocity-dependent error near rest; without an
+                 // acceleration, the error is unbounded
       const double rest = p_.bound[i].torque + p_.drive.friction[i].load * std::fabs(load[i]);
       e.variance[i] = c.at_speed + c.of_contact(e.error[i]) + doubt[i];
       e.bound[i] = apart ? largest_torque : rest * filtered + p_.bound[i].floor;

@@ -44,7 +44,7 @@ class Order(NamedTuple):
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Convert an order to a Command; also return an error message, "" if all its numbers are valid."""
+    """Convert an order to a Command; also return an error message, "" if the order is valid as a whole."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)

@@ -534,7 +534,7 @@ def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
-    """Start the watchdog and raise the thread priority, except for wait="spin", which never yields."""
+    """Start the watchdog; raise the thread priority unless wait="spin", which never yields."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
     if wait != "spin":

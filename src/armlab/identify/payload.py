@@ -228,7 +228,7 @@ def _at_flange(data: Record, robot: Robot) -> np.ndarray:
 
 
 def _shift(data: Record, other: Record) -> int:
-    """Return the lag [rows] of the record without the load; raise an error if the motions differ."""
+    """Return the shift [rows] with data.q[i] = other.q[i - shift]; raise an error if the motions differ."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
             f"Expected one log with the load and one without, at equal rates and without gaps, got "

@@ -714,7 +714,8 @@ class TwoDof:
         Parameters
         ----------
         state : (5 n + 2,) state at the beginning.
-        dt : duration [s], divided into at least one equal step.
+        dt : duration [s].
+        steps : number of equal steps into which dt is divided, at least 1.
         driven : (n,) externally imposed velocity of ya; NaN for coordinates with ya'' = ya_ref''.
         speed : (3,) v at the beginning and at the end, linear in between, and v' after the end.
 

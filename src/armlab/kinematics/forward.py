@@ -24,7 +24,8 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., 4, 4) output array; default: newly allocated. Reusing an array makes large batches a third faster.
+    out : (..., 4, 4) output array; default: newly allocated. Reusing an array saves a third of the time of large
+        batches.
     threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Raises

@@ -13,7 +13,7 @@ from armlab.log.table import Table
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # padded to the largest robot
 
-_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; a larger value indicates that the clock was reset
+_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; a larger value indicates that the clock was set
 
 
 def recording_table(
@@ -42,7 +42,7 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
 
     Uses the first available clock: a column `t`, the robot's clock, the session time (offset by the stamps of each
     session), or the stamps. The robot's clock must be complete, increasing and within 1 s of the session time;
-    otherwise it was reset during recording.
+    otherwise it was set during recording.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"

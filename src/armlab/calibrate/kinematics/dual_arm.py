@@ -89,7 +89,7 @@ def fit_dual_arm(
     Raises
     ------
     NotExcited : unidentifiable directions (named in the message). A closed chain cannot determine the overall scale or
-    a common motion of both tools; weak="prior" constrains them.
+        a common motion of both tools; weak="prior" constrains them.
     NotConverged : inconsistent samples.
     ShapeError, ConfigError, UnknownName : as in `fit_kinematics`.
 

@@ -216,7 +216,7 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     ShapeError, RobotError : `table` is not a table, `robot` is not a `Robot`.
 
     Reference: Robotlib.jl, src/read_log.jl and README. Robotlib's ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques and agrees with
-        the above only for gears without coupling.
+    the above only for gears without coupling.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)

@@ -87,7 +87,8 @@ class Mismatch(Shown):
 
     Raises
     ------
-    ConfigError : a value is negative or not finite, or a relative value is 1 or more.
+    ConfigError : a value is negative or not finite; a relative error, relative reduction, `load_friction` or `lost` is
+        1 or more.
     """
 
     base_turn: float = 0.0

@@ -119,7 +119,7 @@ def _inline(body: bytes, place: int, flags: int, order: str) -> tuple[dict[int, 
 
 @dataclass
 class _Writer:
-    """Reliable writer; a reader without history skips all messages announced by its first heartbeat."""
+    """Reliable writer; a reader without history skips all messages announced by the first heartbeat sent to it."""
 
     id: bytes
     messages: dict[int, tuple[bytes, bytes]] = field(default_factory=dict)  # payload and inline QoS by number
