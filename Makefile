@@ -8,7 +8,9 @@ STAMP := .venv/.armlab-installed
 # Two tests at a time, as the smallest machine of today has two cores: one that waits for its robot costs the other
 # nothing. Small matrices: with several threads BLAS would only wait for itself.
 TOGETHER ?= 2
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TOGETHER) --dist worksteal
+# A test that hangs fails after 15 minutes and prints the stacks of its threads.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TOGETHER) --dist worksteal \
+  -o faulthandler_timeout=900 -o faulthandler_exit_on_timeout=true
 
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE

@@ -141,7 +141,7 @@ def _bars(sections: Sequence[Section]) -> list[str]:
 
 
 def _table(table: Table, section: Section) -> list[str]:
-    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores meanwhile."
+    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores on average."
     head = f"| | median [{table.unit}] | minimum | quartiles | armlab / contender | |"
     rows = [_row(figure, SCALE[table.unit]) for figure in table.figures]
     return [f"## {table.title}", "", table.text, "", head, "|---|---|---|---|---|---|", *rows, "", noise, ""]
