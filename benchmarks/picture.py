@@ -62,8 +62,11 @@ def _panel(axes: Axes, rows: Mapping[str, Sequence[Dot]], title: str) -> None:
             colour = GOOD if dot.good else BAD
             axes.plot([dot.lower, dot.upper], [row, row], color=colour, linewidth=1.2)
             axes.plot(dot.value, row, "o", color=colour, markersize=4.0, alpha=0.8)
-            if not dot.good:
-                axes.annotate(f"  {dot.name}", (dot.upper, row), fontsize=5, va="center", color=colour)
+        bad = [dot for dot in dots if not dot.good]
+        if bad:
+            worst = max(bad, key=lambda dot: dot.upper)
+            name = f"  {worst.name}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else "")
+            axes.annotate(name, (worst.upper, row), fontsize=5, va="center", color=BAD)
     dots = [dot for some in rows.values() for dot in some]
     axes.axvline(1.0, color=LINE, linewidth=0.8)
     axes.set_xscale("log")

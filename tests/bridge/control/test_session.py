@@ -6,7 +6,8 @@ import random
 import struct
 import sys
 import time
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -186,6 +187,7 @@ def test_velocity_from_differences_is_filtered_and_converges(feed: Any) -> None:
         sample = feed.sample(q=q + speed * 0.004 * k)
         if k == 0:
             assert not sample.qd.any()
+            assert sample.qd_source == "difference"
         assert not sample.qd.flags.writeable
         if k == 1:
             np.testing.assert_allclose(sample.qd, speed * (1.0 - np.exp(-2.0 * np.pi * 30.0 * 0.004)))
@@ -236,7 +238,9 @@ def packet(packets: Any, **fields: Any) -> Any:
         ((10**18, 100), (10**18 + 2 * 4_032_000, 100), 8_000_000, 0.008064),
         # A clock that was set gives way to tm, which wraps after seven weeks; arrival is the last resort.
         *(((10**18, 100), (ns, 108), 8_000_000, 0.008) for ns in (10**18 - 1, 10**18, 10**18 + 1_100_000_000, None)),
-        ((None, 2**32 - 2), (None, 2), 4_000_000, 0.004),
+        ((None, 2**32 - 2), (None, 2), 30_000_000, 0.004),
+        ((None, 100), (None, 200), 30_000_000, 0.1),
+        ((10**18, None), (10**18 + 10**9, None), 900_000_000, 1.0),  # the longest
         ((None, None), (None, None), 5_000_000, 0.005),
         ((None, None), (None, None), 0, 1e-6),
     ],
@@ -304,6 +308,91 @@ def steps(
         clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
         found.append(1e3 * clock.believed)
     return found, told
+
+
+def test_a_packet_after_the_timeout_begins_a_session(feed: Any) -> None:
+    """Half a second, whatever its number."""
+    numbers = [feed.sample(after=after).session for after in (0, 499_999_999, 500_000_000)]
+    assert numbers == [1, 1, 2]
+    assert feed.session.missed == 0
+
+
+def test_a_reference_advances_by_whole_cycles_where_the_robot_gives_no_exact_time(feed: Any) -> None:
+    for k in range(1, 21):
+        sample = feed.sample(seqno=k, tm_ms=4 * k, robot_ns=None)
+        assert sample.step == pytest.approx(0.004)
+    assert (sample.seq, sample.send_ns, sample.call_ns, sample.late) == (-1, -1, 0, False), "without a reply"
+    assert feed.sample(seqno=22, tm_ms=88, robot_ns=None, after=8_000_000).step == pytest.approx(0.008)
+    late = feed.sample(seqno=23, tm_ms=100, robot_ns=None, after=12_000_000)
+    assert (late.dt, late.step) == pytest.approx((0.012, 0.004), rel=1e-3)
+    assert (feed.session.missed, feed.session.skipped) == (1, 0)
+    feed.sample(seqno=24, tm_ms=104, robot_ns=10**18)
+    skipped = feed.sample(seqno=25, tm_ms=116, robot_ns=10**18 + 12_000_000, after=12_000_000)
+    assert skipped.step == pytest.approx(0.012)
+    assert (feed.session.missed, feed.session.skipped) == (1, 2)
+
+
+def clocked(claimed: list[float], arrived: list[float]) -> tuple[list[float], list[int]]:
+    """Return the believed steps [s], and the numbers of the steps at which the clock was reported."""
+    events: list[str] = []
+    clock = RobotClock(on_event=lambda text, warn=False, each=False: events.append(text))
+    robot_ns, arrival_ns, believed, reported = 10**18, 10**12, [], []
+    for k, (robot, local) in enumerate(zip([0.0, *claimed], [0.0, *arrived], strict=True)):
+        robot_ns, arrival_ns = robot_ns + round(1e9 * robot), arrival_ns + round(1e9 * local)
+        clock.step(cast(Packet, SimpleNamespace(robot_ns=robot_ns, tm_ms=None)), arrival_ns)
+        believed.append(clock.believed)
+        reported += [k] * (len(events) - len(reported))
+    return believed[1:], reported
+
+
+@pytest.mark.parametrize("drift", [5e-5, 0.0, -5e-5])
+def test_the_drift_of_a_crystal_is_believed_for_minutes(drift: float) -> None:
+    claimed = [0.1 * (1.0 + drift)] * 4000
+    believed, reported = clocked(claimed, [0.1] * 4000)
+    assert believed == pytest.approx(claimed)
+    assert not reported
+
+
+@pytest.mark.parametrize(("fast", "expected"), [(1.005, []), (1.02, [22])])
+def test_a_fast_clock_is_reported_once_more_than_20_ms_were_rejected(fast: float, expected: list[int]) -> None:
+    """Of 2 ms per step, 1 ms is excused as 1 % of the time; the first step may lead by 1 ms."""
+    assert clocked([0.1 * fast] * 60, [0.1] * 60)[1] == expected
+
+
+def test_a_clock_that_trails_for_ten_seconds_twice_is_reported_as_slow() -> None:
+    """After more than 10 s, which are 21 steps, the arrivals are the new reference."""
+    assert clocked([0.5, *[0.25] * 41], [0.5] * 42)[1] == []
+    assert clocked([0.5, *[0.25] * 60], [0.5] * 61)[1] == [43]
+
+
+def test_at_most_half_a_second_is_caught_up() -> None:
+    believed, _ = clocked([0.25] * 10 + [1.0], [0.5] * 10 + [0.1])
+    assert believed[-1] == pytest.approx(0.1 + 1e-3 + 0.5)
+
+
+def test_a_clock_without_robot_time_is_not_exact_and_reports_nothing() -> None:
+    events: list[str] = []
+    clock = RobotClock(on_event=lambda text, warn=False, each=False: events.append(text))
+    assert (clock.exact, clock.believed) == (False, 0.0)
+    for robot_ns, tm_ms, arrival_ns in ((10**18, 0, 0), (None, 4, 4_000_000), (10**18, 8, 8_000_000)):
+        clock.step(cast(Packet, SimpleNamespace(robot_ns=robot_ns, tm_ms=tm_ms)), arrival_ns)
+        assert not clock.exact
+    assert not events
+
+
+def test_the_limits_of_a_period() -> None:
+    """A step of 0.2 ms is a cycle; a step 40 % from the period is none of that period."""
+    period = Period()
+    for _ in range(9):
+        period.add(2e-4)
+    assert period.seconds == 2e-4
+    period = Period()
+    for _ in range(9):
+        period.add(1.0)
+    assert [period.add(0.6) for _ in range(4)] == [False] * 4
+    assert period.seconds == 1.0
+    assert period.add(0.6)
+    assert period.seconds == 0.6
 
 
 def test_a_clock_that_is_not_believed_is_told_once(packets: Any) -> None:
