@@ -42,9 +42,12 @@ BRIDGE = "src/armlab/bridge"
 FILES = {  # file: its tests
     f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/commands"],
     f"{BRIDGE}/control/torque.py": ["bridge/control/commands", "bridge/control/limits", "bridge/control/state_machine"],
-    f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
+    f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime", "bridge/control/loop", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/session.py": ["bridge/control/session"],
-    f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/commands"],
+    f"{BRIDGE}/control/state_machine.py": [
+        *("bridge/control/state_machine", "bridge/control/commands", "bridge/control/feedback"),
+        *("bridge/control/arm", "bridge/control/multi_arm", "bridge/control/loop"),
+    ],
     f"{BRIDGE}/arbiter.py": ["bridge/arbiter", "bridge/servers/ros/actions"],
     f"{BRIDGE}/control/loop.py": ["bridge/control/loop", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/feedback"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -55,7 +56,10 @@ def test_half_a_kilogram(truth, model, motion, table, pair: bool) -> None:
     assert 0.01 < fit.sd[0] / MASS < 0.05  # what 5 % of unknown gain leaves
     assert np.all(np.abs(fit.parameters - POINT[:4]) < 3 * fit.sd)
     text = fit.report()
-    assert "centre z" in text
+    draws = np.random.default_rng(0).multivariate_normal(fit.parameters[:4], fit.cov[:4, :4], 20_000)
+    spread = 1e3 * (draws[:, 1:] / draws[:, :1]).std(axis=0)  # mm
+    stated = [float(value) for value in re.findall(r"centre [xyz] .* \+- (.*) mm", text)]
+    assert stated == pytest.approx(spread, rel=0.1, abs=0.06)
     assert "gains" in text
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import contact, identify, models, robots
-from armlab.errors import ModelMismatchError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, load, save, velocity_covariance
@@ -273,3 +273,14 @@ def test_a_model_moves_to_another_tool_and_not_to_another_arm(model: TorqueModel
     np.testing.assert_array_equal(moved.torque(q, 0 * q, 0 * q), model.torque(q, 0 * q, 0 * q))
     with pytest.raises(ModelMismatchError, match="ur5e"):
         model.moved_to(robots.load("ur5e"))
+
+
+def test_friction_is_of_1_to_32_joints_and_loses_less_than_the_load() -> None:
+    assert [Friction.none(n).viscous.shape for n in (1, 32)] == [(1,), (32,)]
+    for n in (0, 33):
+        with pytest.raises(ShapeError, match="joints from 1 to 32"):
+            Friction.none(n)
+    replace(Friction.none(1), load=np.array([0.999]))
+    for share in (1.0, -1e-3):
+        with pytest.raises(ShapeError, match="from 0 to below 1"):
+            replace(Friction.none(1), load=np.array([share]))
