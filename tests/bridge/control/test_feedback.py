@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -210,6 +211,22 @@ def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_fr
     assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which is behind"
     assert bench.machine.ready
     assert bench.feed.events[-1] == "The robot reports its states again."
+
+
+@pytest.mark.parametrize("fields", [{"motors": None}, {"q": 0.5}], ids=["no states", "implausible"])
+def test_a_fast_arm_brakes_where_nothing_is_known_of_it(robot: Robot, fields: dict[str, Any]) -> None:
+    """It neither stops at once nor keeps its last reference."""
+    limits = replace(Limits.of(robot), qdd_max=np.full(7, 5.0))
+    bench = Follower(robot, limits).moving()
+    for _ in range(100):
+        before = bench(Command(qd=np.full(7, 0.5)))
+    if "q" in fields:
+        fields = {"q": bench.q + fields["q"]}
+    for _ in range(2 if "motors" in fields else 1):
+        held = bench(**fields)
+        assert (held.q > before.q).all()
+        np.testing.assert_allclose(held.qd, before.qd - 5.0 * T, rtol=1e-6)
+        before = held
 
 
 class Supervised:

@@ -66,6 +66,57 @@ def test_young_garbage_is_collected_when_there_is_much() -> None:
         assert len(kept) == 2000
 
 
+def test_the_collector_is_called_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[object, ...]] = []
+    for name in ("collect", "freeze", "disable", "unfreeze", "enable"):
+        monkeypatch.setattr(gc, name, lambda *given, name=name: calls.append((name, *given)))
+    with quiet_memory():
+        assert calls == [("collect",), ("freeze",), ("disable",)]
+    assert calls[3:] == [("collect",), ("unfreeze",), ("enable",)]
+    calls.clear()
+    for count in (700, 701):
+        monkeypatch.setattr(gc, "get_count", lambda count=count: (count, 0, 0))
+        collect_if_due()
+    assert calls == [("collect", 0)], "only above 700 new objects"
+
+
+def test_a_longer_switch_interval_is_restored() -> None:
+    before = sys.getswitchinterval()
+    try:
+        for interval in (0.02, 1e-4):
+            sys.setswitchinterval(interval)
+            with short_switches():
+                assert sys.getswitchinterval() == pytest.approx(min(interval, 5e-4), rel=0.02)
+            assert sys.getswitchinterval() == pytest.approx(interval, rel=0.02)
+    finally:
+        sys.setswitchinterval(before)
+
+
+def test_priority_is_that_of_the_calling_thread_and_not_inherited(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[object, ...]] = []
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: ("policy", pid))
+    monkeypatch.setattr(os, "sched_getparam", lambda pid: ("parameters", pid))
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *given: calls.append(given))
+    with priority(50, pytest.fail) as raised:
+        assert raised
+    assert calls == [
+        (0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(50)),
+        (0, ("policy", 0), ("parameters", 0)),
+    ]
+
+
+def test_a_priority_that_is_not_permitted_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError("not today")
+
+    told: list[str] = []
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with priority(50, lambda text, warn=False: told.append(text)) as raised:
+        assert not raised
+    assert len(told) == 1
+    assert "not permitted (not today)" in told[0]
+
+
 def test_priority_is_raised_or_told_and_given_back() -> None:
     before, told, inherited = os.sched_getscheduler(0), [], []
     assert GUARD_PRIORITY > LOOP_PRIORITY
@@ -141,6 +192,14 @@ def test_predictions(packets: list[tuple[int, int, float]]) -> None:
         assert prediction.next_ns == pytest.approx(expected * MS, rel=1e-12)
 
 
+@pytest.mark.parametrize(("late", "next_ms"), [(20, 8.0 + 0.4), (21, 4.0 + 21.0 + 4.0)])
+def test_an_arrival_more_than_five_periods_from_the_prediction_restarts_it(late: int, next_ms: float) -> None:
+    prediction = Prediction()
+    prediction.add(0, 1, 0.004)
+    prediction.add((4 + late) * MS, 1, 0.004)
+    assert prediction.next_ns == pytest.approx(next_ms * MS)
+
+
 @pytest.fixture
 def port() -> Iterator[Port]:
     port = Port("127.0.0.1", 0)
@@ -192,6 +251,31 @@ def test_a_cycle_runs_dry_once_before_each_predicted_packet(
         runs.clear()
 
 
+def test_the_end_is_kept_and_a_wait_that_returns_early_goes_on(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, prediction, runs, waits = [0], Prediction(), list[int](), list[tuple[int, int]]()
+
+    def wait(sockets: list[int], poll_ns: int, end_ns: int) -> None:
+        waits.append((poll_ns, end_ns))
+        now[0] = now[0] + MS // 4 if now[0] >= 9.6 * MS else end_ns
+
+    monkeypatch.setattr("armlab.bridge.control.realtime.time", SimpleNamespace(monotonic_ns=lambda: now[0]))
+    monkeypatch.setattr("armlab.kernels.await_datagram", wait)
+    waiting = Waiting([port], [prediction], "ahead", lambda: runs.append(now[0]))
+    assert waiting.next() is None
+    assert not waits, "by default it does not wait"
+    prediction.next_ns = 10.0 * MS
+    assert waiting.next(0.009) is None
+    assert waits == [(9 * MS, 9 * MS)], "the packet is due later"
+    for end in (int(10.3 * MS), int(10.6 * MS)):
+        now[0] = 0
+        waits.clear()
+        assert waiting.next(1e-9 * end) is None
+        assert waits == [(end, end)], "the end is within the packet's window"
+    now[0] = 0
+    assert waiting.next(0.011) is None
+    assert runs == [int(9.6 * MS)], "once, however often the wait returns"
+
+
 def test_a_socket_that_was_bound_again_is_waited_for(port: Port, other: Port, tmp_path: Path) -> None:
     waiting = Waiting([port], [Prediction()], "block")
     assert waiting.next(0.0) is None
@@ -218,6 +302,9 @@ def test_two_ports_take_turns(port: Port, other: Port, mode: Wait) -> None:
         [(0, b"flood"), (1, b"packet")],
         [(1, b"packet"), (0, b"flood")],
     )
+    rest = [waiting.next(5.0) for _ in range(18)]
+    assert [one[0] for one in rest if one is not None] == [0] * 18
+    assert waiting.next() is None
 
 
 @pytest.mark.parametrize("mode", ["ahead", "spin"])

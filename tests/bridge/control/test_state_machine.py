@@ -12,6 +12,7 @@ from armlab.bridge.control.state_machine import STOP_TIME, Mode, StateMachine
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot
 from armlab.state import Command
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 T = 0.004
 NOT_READY = [{"motors": 2}, {"motors": None}, {"mci": 2}, {"mci": None}, {"rapid": 1}]
@@ -157,7 +158,10 @@ def test_speed_follows_position_unless_given_and_the_state_shows_the_previous_re
     bench.reply(None)
     reply = bench.reply(Command(bench.home + 1e-4))
     np.testing.assert_allclose(reply.qd, 1e-4 / T)
-    state = bench.see()
+    bench.feed.packets.codec = RobotSideCodec(bench.robot, extension=True)
+    state = bench.see(tau=np.arange(7.0))
+    np.testing.assert_allclose(state.tau, np.arange(7.0))
+    bench.feed.packets.codec = RobotSideCodec(bench.robot)
     np.testing.assert_array_equal(state.q_sent, reply.q)
     np.testing.assert_array_equal(state.qd_sent, reply.qd)
     assert state.pos0 is state.q_start
