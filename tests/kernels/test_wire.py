@@ -105,7 +105,7 @@ def test_slots_are_filled_as_by_the_constructor() -> None:
     assert made.q is q
     assert all(slot.__get__(made) is slot.__get__(whole) for slot in slots)
     for kind, of, values in ((1, slots, slots), (Command, slots, ()), (Command, (1,), (1,))):
-        with pytest.raises(TypeError, match="slots"):
+        with pytest.raises(TypeError, match="slot"):
             kernels.filled(kind, of, values)
 
 
