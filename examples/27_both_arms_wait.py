@@ -19,21 +19,21 @@ def give_way(state: State) -> np.ndarray:
 
 def main() -> None:
     start = np.concatenate([LEFT.q_home, RIGHT.q_home])
-    shown = motion.profiles.minimum_jerk(start, start + np.concatenate([MOVE, MIRROR * MOVE]), duration=2.0)
+    demo = motion.profiles.minimum_jerk(start, start + np.concatenate([MOVE, MIRROR * MOVE]), duration=2.0)
     t = np.linspace(0.0, 2.0, 501)
-    two_dof = motion.TwoDofDmp(motion.fit_dmp(t, shown.at(t)[0]).value, e0=0.02)
+    two_dof = motion.TwoDofDmp(motion.fit_dmp(t, demo.at(t)[0]).value, e0=0.02)
     controller = two_dof.controller([LEFT, RIGHT], give_way=give_way)
     url = f"sim://yumi_left+yumi_right?lockstep=true&force=true&grip={HELD[0]},{HELD[1]}"
     with bridge.connect(url, [LEFT, RIGHT]) as link:
         table = link.run(controller, seconds=5.5).table
-    ways = [table["yumi_left.q"] - LEFT.q_home, MIRROR * (table["yumi_right.q"] - RIGHT.q_home)]
-    way = np.stack([(way / MOVE).mean(axis=1) for way in ways], axis=1)
+    moved = [table["yumi_left.q"] - LEFT.q_home, MIRROR * (table["yumi_right.q"] - RIGHT.q_home)]
+    path = np.stack([(one / MOVE).mean(axis=1) for one in moved], axis=1)
     begin, end = np.searchsorted(table.t, HELD)
-    for when, k in (("held", begin), ("let go", end), ("end", -1)):
-        print(f"{when:6s} left arm at {way[k, 0]:.0%} of its path, right arm at {way[k, 1]:.0%}")
+    for when, k in (("held", begin), ("released", end), ("end", -1)):
+        print(f"{when:8s} left arm at {path[k, 0]:.0%} of its path, right arm at {path[k, 1]:.0%}")
     print("done:", controller.done)
     column = log.Column(unit="1", labels=("left arm", "right arm"))
-    plots.table(log.Table(table.t, {"way": way}, {"way": column}), "way").figure.savefig("both_arms.png")
+    plots.table(log.Table(table.t, {"path": path}, {"path": column}), "path").figure.savefig("both_arms.png")
 
 
 if __name__ == "__main__":
