@@ -167,13 +167,16 @@ Installing = tuple[Path, "subprocess.Popen[str]"]
 
 
 @pytest.fixture(scope="module")
-def installing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Installing]:
+def installing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Installing]]:
     found = {}
     for wanted in (*(f"eclipse-zenoh=={release}.*" for release in RELEASES), f"zenoh-ros2-sdk=={SDK}"):
         folder = tmp_path_factory.mktemp("packages")
         command = f"{sys.executable} -m pip install -q --only-binary :all: --target {folder} {wanted}".split()
         found[wanted] = folder, subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    return found
+    yield found
+    for _, process in found.values():
+        with process:  # those that no test has waited for
+            process.kill()
 
 
 @pytest.fixture(scope="module")
