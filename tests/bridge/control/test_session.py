@@ -240,6 +240,9 @@ def packet(packets: Any, **fields: Any) -> Any:
         *(((10**18, 100), (ns, 108), 8_000_000, 0.008) for ns in (10**18 - 1, 10**18, 10**18 + 1_100_000_000, None)),
         ((None, 2**32 - 2), (None, 2), 30_000_000, 0.004),
         ((None, 100), (None, 200), 30_000_000, 0.1),
+        ((None, 100), (None, 1100), 900_000_000, 1.0),
+        ((None, 100), (None, 1101), 30_000_000, 0.03),  # longer: not believed
+        ((None, 100), (None, 100), 30_000_000, 0.03),
         ((10**18, None), (10**18 + 10**9, None), 900_000_000, 1.0),  # the longest
         ((None, None), (None, None), 5_000_000, 0.005),
         ((None, None), (None, None), 0, 1e-6),
@@ -322,6 +325,7 @@ def test_a_reference_advances_by_whole_cycles_where_the_robot_gives_no_exact_tim
         sample = feed.sample(seqno=k, tm_ms=4 * k, robot_ns=None)
         assert sample.step == pytest.approx(0.004)
     assert (sample.seq, sample.send_ns, sample.call_ns, sample.late) == (-1, -1, 0, False), "without a reply"
+    assert (sample.stamp_ns, sample.deadline_ns, sample.wake_ns) == (0, 0.0, 0)
     assert feed.sample(seqno=22, tm_ms=88, robot_ns=None, after=8_000_000).step == pytest.approx(0.008)
     late = feed.sample(seqno=23, tm_ms=100, robot_ns=None, after=12_000_000)
     assert (late.dt, late.step) == pytest.approx((0.012, 0.004), rel=1e-3)
@@ -335,7 +339,7 @@ def test_a_reference_advances_by_whole_cycles_where_the_robot_gives_no_exact_tim
 def clocked(claimed: list[float], arrived: list[float]) -> tuple[list[float], list[int]]:
     """Return the believed steps [s], and the numbers of the steps at which the clock was reported."""
     events: list[str] = []
-    clock = RobotClock(on_event=lambda text, warn=False, each=False: events.append(text))
+    clock = RobotClock(on_event=lambda text, warn=False, each=False: events.append(text) if warn else None)
     robot_ns, arrival_ns, believed, reported = 10**18, 10**12, [], []
     for k, (robot, local) in enumerate(zip([0.0, *claimed], [0.0, *arrived], strict=True)):
         robot_ns, arrival_ns = robot_ns + round(1e9 * robot), arrival_ns + round(1e9 * local)
@@ -361,8 +365,19 @@ def test_a_fast_clock_is_reported_once_more_than_20_ms_were_rejected(fast: float
 
 def test_a_clock_that_trails_for_ten_seconds_twice_is_reported_as_slow() -> None:
     """After more than 10 s, which are 21 steps, the arrivals are the new reference."""
+    assert clocked([0.25] * 60, [0.5] * 60)[1] == [42]
     assert clocked([0.5, *[0.25] * 41], [0.5] * 42)[1] == []
     assert clocked([0.5, *[0.25] * 60], [0.5] * 61)[1] == [43]
+
+
+def test_a_clock_that_stops_and_is_set_is_reported_for_both() -> None:
+    assert clocked([0.0, 0.1, -5.0, 0.0, -5.0], [0.1] * 5)[1] == [1, 3]
+
+
+def test_tm_goes_on_after_a_step() -> None:
+    clock = RobotClock()
+    packets = [cast(Packet, SimpleNamespace(robot_ns=None, tm_ms=100 + 4 * k)) for k in range(4)]
+    assert [clock.step(packet, 30_000_000 * k) for k, packet in enumerate(packets)][1:] == pytest.approx([0.004] * 3)
 
 
 def test_at_most_half_a_second_is_caught_up() -> None:
