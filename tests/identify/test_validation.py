@@ -10,7 +10,7 @@ import pytest
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import design_excitation, dither, extrapolation, predict, prepare
 from armlab.identify.prediction import Extrapolation
-from armlab.identify.validation import FIFTHS, assess, assess_again, held_out, training
+from armlab.identify.validation import FIFTHS, _covariance, _share, assess, assess_again, held_out, training
 from armlab.log import Table
 
 
@@ -31,6 +31,20 @@ def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, 
     assert np.mean(judged.quality.coverage) != pytest.approx(np.mean(ratio < 4.0), abs=1e-9)
     # these folds saw every row: in-sample and held-out figures are of one kind and therefore equal
     np.testing.assert_allclose(judged.quality.rms, judged.quality.rms_cv, rtol=1e-12)
+
+
+def test_both_parts_of_the_covariance_together_cover_the_errors() -> None:
+    """Joint 0: parameters matter in a tenth of the rows, where the ratio of the powers would cover 97 %."""
+    rng = np.random.default_rng(0)
+    qd, moving = rng.uniform(-1.0, 1.0, (8000, 2)), np.ones((8000, 2), dtype=bool)
+    beyond = np.zeros((8000, 2))
+    beyond[:800, 0] = 9.0
+    errors = rng.normal(size=(8000, 2)) * np.sqrt(1.0 + beyond)
+    ratio = _share(errors, beyond, qd, moving)
+    assert ratio[0] > 0.1
+    assert ratio[1] == 0.0
+    variance = _covariance(errors / np.sqrt(1.0 + ratio), qd, moving).variance(qd) + beyond
+    np.testing.assert_allclose(np.mean(errors**2 < 4.0 * variance, axis=0), 0.954, atol=0.008)
 
 
 @pytest.mark.slow  # 5 s
