@@ -183,7 +183,19 @@ def transplant(scratch: ModuleType, module: ModuleType) -> tuple[set[CodeType], 
             for one in [one for at, one in sys.modules.items() if at.startswith("armlab")]:
                 if vars(one).get(key) is old:
                     setattr(one, key, value)
+        if isinstance(value, type) and isinstance(old, type) and value.__module__ == module.__name__:
+            beside = _exchange_constants(value, old) or beside
     return changed, beside
+
+
+def _exchange_constants(scratch: type, kind: type) -> bool:
+    """Exchange the constants of a class; return whether one changed."""
+    changed = False
+    for key, value in vars(scratch).items():
+        if _is_constant(value) and not key.startswith("__") and repr(vars(kind).get(key)) != repr(value):
+            setattr(kind, key, value)
+            changed = True
+    return changed
 
 
 def _fitting(code: CodeType, old: CodeType) -> CodeType:
@@ -200,7 +212,7 @@ def _is_constant(value: Any) -> bool:
     return (
         simple
         or (isinstance(value, tuple | frozenset | dict) and not hasattr(value, "__module__"))
-        or (type(value).__name__ == "Drop")
+        or type(value).__name__ in ("Drop", "State", "attrgetter")
     )
 
 
