@@ -51,7 +51,12 @@ FILES = {  # file: its tests
     f"{BRIDGE}/arbiter.py": ["bridge/arbiter", "bridge/servers/ros/actions"],
     f"{BRIDGE}/control/loop.py": ["bridge/control/loop", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/feedback"],
-    f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm"],
+    f"{BRIDGE}/control/arm.py": [
+        "bridge/control/arm",
+        "bridge/control/multi_arm",
+        "bridge/control/commands",
+        "bridge/inputs/fusion",
+    ],
     "native/math/motion/limits.cpp": ["kernels/limits"],
 }
 MARKED, NAMED = "not slow", "not (simulated or follows[)"  # excludes slow tests of complete simulated runs

@@ -29,7 +29,9 @@ class Bench:
         self.warnings: list[str] = []  # those of the events that warn
         self.each: list[str] = []  # and those that are told each time
         self.answers: list[tuple[str, str]] = []
-        self.arbiter = Arbiter(arms, allowed, tell=self.tell, answer=self.answer, clock=lambda: self.now, **options)
+        self.results: list[tuple[str, ...]] = []  # client, goal, status, outcome, reason
+        options = {"tell": self.tell, "answer": self.answer, "on_goal": self.on_goal, **options}
+        self.arbiter = Arbiter(arms, allowed, clock=lambda: self.now, **options)
         self.q_sent = {robot.name: np.array(robot.q_home) for robot in arms}
         self.arms = arms
 
@@ -42,6 +44,9 @@ class Bench:
 
     def answer(self, client: str, text: str) -> None:
         self.answers.append((client, text))
+
+    def on_goal(self, order: Order, result: tuple[str, str, str]) -> None:
+        self.results.append((order.client, order.goal, *result))
 
     def state(self) -> State:
         made = [
@@ -60,6 +65,32 @@ class Bench:
         return command
 
 
+class Motion:
+    """A trajectory that stays at `q` until it is told to end."""
+
+    def __init__(self, q: Any = HOME, problem: str = "") -> None:
+        self.q, self.problem = q, problem
+        self.ending = self.reason = ""
+        self.begun: list[bool] = []  # whether the arm was moving
+        self.steps: list[float] = []
+
+    @property
+    def done(self) -> bool:
+        return self.ending == "arrived"
+
+    def begin(self, state: State, near: Any, is_moving: bool) -> str:
+        self.begun.append(is_moving)
+        return self.problem
+
+    def __call__(self, state: State, dt: float) -> Command:
+        self.steps.append(dt)
+        return Command(self.q)
+
+
+def goal(name: str = "1", client: str = "labcomm a", arm: str = "yumi_left", motion: Any = None) -> Order:
+    return Order(client, arm, goal=name, trajectory=Motion() if motion is None else motion)
+
+
 def order(client: str = "labcomm a", offset: float = 0.01, arm: str = "yumi_left", **more: Any) -> Order:
     return Order(client, arm, HOME + offset, **more)
 
@@ -70,6 +101,8 @@ def test_the_first_valid_command_takes_the_arm() -> None:
     assert bench(order("labcomm a", 0.01), order("labcomm b", 0.02)).q[0] == HOME[0] + 0.01
     assert bench.arbiter.commander("yumi_left") == "labcomm a"
     assert bench.events[0] == "labcomm a commands yumi_left."
+    assert bench.each == bench.events[:1]
+    assert bench.results == [], "only trajectories have results"
     assert bench.answers == [
         ("labcomm b", "yumi_left is commanded by labcomm a. You have read-only access. 1 commands refused so far.")
     ]
@@ -124,6 +157,7 @@ def test_a_lease_ends_also_while_nobody_asks_for_commands() -> None:
         assert bench.arbiter.commands("labcomm b") != holds
     assert bench(order(), after=0.0) is not None
     assert bench.events[1] == "labcomm a no longer commands yumi_left: silent for 0.1 s. The arm holds."
+    assert bench.events[1] in bench.each
 
 
 def test_refused_commands_keep_nothing() -> None:
@@ -141,7 +175,7 @@ def test_refused_commands_keep_nothing() -> None:
         (order(offset=0.06), "first position within 0.05 of where the arm is"),
         (Order("labcomm a", "yumi_left", HOME[:6]), "7 numbers in q"),
         (Order("labcomm a", "yumi_left", qd=[[1.0], [2.0, 3.0]]), "7 numbers in qd"),
-        (Order("labcomm a", "yumi_left", "up"), "7 numbers in q"),
+        (Order("labcomm a", "yumi_left", "up"), r"7 numbers in q for yumi_left, got shape \(0,\)"),
         (Order("labcomm a", "yumi_left", HOME, np.full(7, np.inf)), "finite numbers in qd .* joint 1"),
         (Order("labcomm a", "yumi_left", HOME, tau=np.zeros(7)), "no torque"),
         (Order("labcomm a", "yumi_left"), "a position, a velocity or a torque"),
@@ -160,6 +194,7 @@ def test_refused(wrong: Order, words: str) -> None:
 def test_torque_where_the_link_carries_it() -> None:
     command = Bench(torque=["yumi_left"])(Order("labcomm a", "yumi_left", tau=np.ones(7)))
     np.testing.assert_array_equal(command.tau, np.ones(7))
+    assert not command.tau.flags.writeable, "the same array answers each packet"
 
 
 def test_older_numbers_are_ignored() -> None:
@@ -229,6 +264,7 @@ def test_rights_of_a_commander_and_of_a_controller_of_its_own() -> None:
     assert arbiter.commands("labcomm a")
     assert not arbiter.commands("labcomm b")
     assert Bench().arbiter.commands("labcomm a of the hall")
+    assert Bench()(order("labcomm a of the hall")) is not None
     arbiter.reserve("the controller of the cell")
     bench(order("labcomm b"))
     assert "is commanded by the controller of the cell" in bench.answers[0][1]
@@ -244,7 +280,111 @@ def test_a_flood_of_clients_is_bounded() -> None:
     for k in range(300):
         bench.arbiter.submit(order(f"labcomm {k}"))
     assert len(bench.arbiter._inbox) == 256
+    assert (bench.arbiter.refused, bench.answers) == ({}, []), "stream commands are dropped silently"
+    bench.arbiter.submit(goal("1", "labcomm 299"))
+    why = "Expected at most 256 commanding clients at once."
+    assert bench.results == [("labcomm 299", "1", "aborted", "refused", why)]
     assert bench(order("labcomm 0", 0.03)).q[0] == HOME[0] + 0.03
+
+
+def test_a_trajectory_advances_by_the_time_between_packets_and_its_result_is_told_once() -> None:
+    bench, motion = Bench(), Motion()
+    bench(goal("1", motion=motion))
+    bench()
+    assert (motion.begun, motion.steps) == ([False], [0.0, 0.004])
+    assert bench.results == [("labcomm a", "1", "executing", "", "")]
+    second = Motion()
+    bench(goal("2", motion=second))
+    assert (second.begun, second.steps, motion.steps) == ([True], [0.0], [0.0, 0.004])
+    assert bench.results[1:] == [
+        ("labcomm a", "1", "aborted", "interrupted", "A newer command replaced it."),
+        ("labcomm a", "2", "executing", "", ""),
+    ]
+    second.ending = "arrived"
+    assert bench() is None
+    assert bench.results[3:] == [("labcomm a", "2", "succeeded", "arrived", "")]
+    assert bench.events[-1] == "labcomm a no longer commands yumi_left: its trajectory has ended. The arm holds."
+    bench(goal("2", motion=Motion(problem="The way is blocked.")))
+    assert bench.results[4:] == [("labcomm a", "2", "aborted", "refused", "The way is blocked.")], "used again"
+    assert bench.warnings == ["A trajectory of labcomm a was refused: The way is blocked."]
+    assert bench.answers == [], "the result says it"
+
+
+def test_a_trajectory_ends_when_the_arm_cannot_follow() -> None:
+    q = HOME + 0.05 * (np.arange(7) == 0)
+    bench, motion = Bench(), Motion(q)
+    limits = bench.arbiter._limits
+    limits["yumi_left"] = dataclasses.replace(limits["yumi_left"], jump=np.full(7, abs(q[0] - HOME[0])))
+    assert bench(goal(motion=motion)) is not None, "the largest step allowed"
+    bench.q_sent["yumi_left"] = HOME - 1e-9
+    assert bench() is None
+    reason = "The limits of the arm prevent it from following its trajectory."
+    assert bench.results[1:] == [("labcomm a", "1", "aborted", "path", reason)]
+    assert bench.events[-1] == f"labcomm a no longer commands yumi_left: {reason} The arm holds."
+
+
+def test_goals_that_wait_are_replaced_by_newer_ones_and_cancelled_by_name() -> None:
+    bench = Bench((LEFT, RIGHT))
+    waiting = [
+        *(goal("1"), goal("2"), goal("2", "labcomm b")),
+        *(goal("2", "labcomm c", "yumi_right", Motion(np.array(RIGHT.q_home))), goal("3", "labcomm d")),
+    ]
+    for one in waiting:
+        bench.arbiter.submit(one)
+    assert bench.results == [("labcomm a", "1", "aborted", "interrupted", "A newer command replaced it.")]
+    bench.arbiter.cancel("web x", "yumi_left", "")
+    assert len(bench.results) == 1
+    bench.arbiter.cancel("web x", "yumi_left", "2")
+    canceled = ("canceled", "interrupted", "Canceled by web x.")
+    assert bench.results[1:] == [("labcomm a", "2", *canceled), ("labcomm b", "2", *canceled)]
+    bench()
+    assert (bench.arbiter.commander("yumi_left"), bench.arbiter.commander("yumi_right")) == ("labcomm d", "labcomm c")
+    bench.arbiter.cancel("web x", "yumi_left", "2")
+    assert bench.arbiter.commander("yumi_left") == "labcomm d", "another goal"
+    bench.arbiter.cancel("web x", "yumi_left", "3")
+    assert bench.arbiter.commander("yumi_left") == ""
+    bench(order())
+    bench.arbiter.cancel("web x", "yumi_left", "")
+    assert bench.arbiter.commander("yumi_left") == "labcomm a", "stream commands are no goal"
+
+
+def test_the_lease_of_a_trajectory_is_renewed_only_while_the_arm_is_ready() -> None:
+    bench = Bench()
+    bench(goal())
+    bench.now += round(1e9 * LEASE)
+    bench.arbiter.renew("labcomm a", "yumi_left", "1")
+    assert bench.arbiter.commander("yumi_left") == "labcomm a", "asked exactly a lease ago"
+    bench.now += 1
+    bench.arbiter.renew("labcomm a", "yumi_left", "1")
+    assert bench.arbiter.commander("yumi_left") == ""
+    ended = ("labcomm a", "1", "aborted", "interrupted", "The arm is not ready.")
+    assert bench.results[1:] == [ended]
+    bench.arbiter.renew("labcomm a", "yumi_left", "1")
+    assert bench.results[2:] == [ended], "a client that missed the result gets it again"
+    bench.arbiter.renew("labcomm a", "yumi_left", "9")
+    assert bench.results[3:] == [("labcomm a", "9", "aborted", "interrupted", "The lease of the arm ended.")]
+
+
+def test_a_waiting_trajectory_is_refused_once_the_arm_has_not_been_ready_for_a_lease() -> None:
+    bench = Bench()
+    bench()
+    bench.arbiter.submit(goal())
+    bench.arbiter.renew("labcomm a", "yumi_left", "1")
+    assert bench.results == []
+    bench.now += round(1e9 * LEASE) + 1
+    bench.arbiter.renew("labcomm a", "yumi_left", "1")
+    why = "yumi_left is not ready. Send the goal again when it is ready."
+    assert bench.results == [("labcomm a", "1", "aborted", "refused", why)]
+    assert bench() is None
+
+
+def test_the_newest_64_results_are_kept() -> None:
+    bench = Bench()
+    for k in range(65):
+        bench.arbiter.submit(goal(f"{k}", "ros a"))
+    for k, reason in ((1, "Expected no commands through ros"), (0, "The lease of the arm ended.")):
+        bench.arbiter.renew("ros a", "yumi_left", f"{k}")
+        assert bench.results[-1][4].startswith(reason)
 
 
 step = st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.01, 0.03, 0.2, np.nan]))

@@ -234,6 +234,14 @@ def test_an_arm_outside_its_limits_may_only_come_back() -> None:
     assert 0.599 < back[0, 0] < 0.6
 
 
+def test_at_an_end_the_speed_sent_is_that_of_the_position_sent() -> None:
+    """Within the tolerance of rounding, a speed may lead beyond the end; the position stops at it."""
+    q = 1.0 - 1e-13
+    sent, *_ = kernels.limit_reference(np.array([[q], [0.0], [0.0]]), bounds(1), T, None, None, np.array([6e-11]))
+    assert sent[0, 0] == 1.0
+    assert sent[1, 0] == (1.0 - q) / T
+
+
 @given(st.integers(0, 2**32))
 @settings(max_examples=200)
 def test_native_is_the_reference(seed: int) -> None:
@@ -303,7 +311,8 @@ def test_the_edges_of_plausible_feedback() -> None:
     limits = np.array([[-1.0, -1.0], [1.0, 1.0], [2.0, 2.0]])
     for q, before, found in (
         ([1.25, 0.0], None, 0), ([0.0, -1.25], None, 0), ([1.5, 2.0], None, 2), ([1.5, 1.5], None, 1),
-        ([-1.5, np.nan], None, 2), ([0.0, 0.75], [0.0, 0.0], 0), ([0.75, 1.0], [0.0, 0.0], -2),
+        ([-1.5, np.nan], None, 2), ([np.nan, np.nan], None, 1), ([0.0, 0.75], [0.0, 0.0], 0),
+        ([0.75, 1.0], [0.0, 0.0], -2),
         ([1.0, -1.0], [0.0, 0.0], -1), ([1.5, 0.0], [0.0, 0.0], 1), ([0.0, 0.0], [0.0, np.nan], -2),
     ):  # fmt: skip
         last = None if before is None else np.array(before)

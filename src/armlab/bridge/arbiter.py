@@ -43,7 +43,7 @@ class Order(NamedTuple):
         return self.client.partition(" ")[0]
 
 
-def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
+def read_order(order: Order, robot: Robot, has_torque: bool) -> tuple[Command, str]:
     """Convert an order to a Command; also return an error message, "" if the order is valid as a whole."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
@@ -180,15 +180,15 @@ class Arbiter:
             return
         holder, (_, waiting) = self._holder(arm), self._inbox.get((arm, client), (0, None))
         now = self._clock()
-        late = now - self._called_ns > self._lease_ns and f"{arm} is not ready"
+        late = now - self._called_ns > self._lease_ns
         if holder is not None and (holder.client, holder.order.goal) == (client, goal):
             holder.received_ns = now
             if late:
-                self._free(arm, late)
+                self._free(arm, "the arm is not ready")
         elif waiting is not None and waiting.goal == goal:
             if late:
                 del self._inbox[arm, client]
-                self._refuse(waiting, f"{late}. Send the goal again when it is ready.", now)
+                self._refuse(waiting, f"{arm} is not ready. Send the goal again when it is ready.", now)
         else:
             known = self._results.get((client, goal), ("aborted", "interrupted", "The lease of the arm ended."))
             self._on_goal(Order(client, arm, goal=goal), known)
@@ -346,7 +346,7 @@ class Arbiter:
     def _free(self, arm: str, why: str) -> None:
         holder, self._holders[arm] = self._holders[arm], None
         if holder is not None:
-            self._end(holder.order, "aborted", "interrupted", f"{why[:1].upper()}{why[1:].rstrip('.')}.")
+            self._end(holder.order, "aborted", "interrupted", f"{why[:1].upper()}{why[1:]}.")
             self._tell(f"{holder.client} no longer commands {arm}: {why.rstrip('.')}. The arm holds.", each=True)
 
     def _refuse(self, order: Order, why: str, now: int, answer: bool = True) -> bool:

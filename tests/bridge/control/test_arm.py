@@ -12,6 +12,7 @@ import pytest
 from armlab.bridge.control.arm import Latency, QueueTrimming
 from armlab.bridge.control.state_machine import Mode
 from armlab.state import Command, State
+from armlab.wire.egm import Beside, EgmCodec
 from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from .conftest import CONTROLLER, MS, Make, drift
@@ -35,6 +36,11 @@ def test_percentiles_are_numpys_to_a_bin() -> None:
         latency.add(nanoseconds)
     assert latency.percentile(100.0) == 1e7, "the last bin takes everything longer"
     assert latency.percentile(50.0) <= 1.0
+    latency.add(19_998_500)
+    assert latency.percentile(60.0) == 19_999.0, "the longest time with a bin of its own"
+    latency = Latency()
+    latency.add(500)
+    assert latency.longest == 0.5
 
 
 def test_the_histogram_has_every_time_once() -> None:
@@ -145,6 +151,17 @@ def test_a_row_says_all_of_its_packet(one: Make) -> None:
     assert arm.stamp_ns == WALL_NS + hands.clock.now
 
 
+def test_a_row_says_what_was_sent_beside_the_joints(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one(extension=True)
+    machine = hands.arms[0].machine
+    answer, beside = machine.answer, Beside(q_ext=np.array([0.25]))
+    monkeypatch.setattr(machine, "answer", lambda *given: answer(*given)._replace(tau=np.ones(7), beside=beside))
+    hands.cycle()
+    tick = hands.rows[0][2]
+    np.testing.assert_array_equal(tick.tau_sent, np.ones(7))
+    assert (tick.q_ext_sent.tolist(), tick.rapid_data_sent) == ([0.25], None)
+
+
 def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(one: Make) -> None:
     hands = one()
     for _ in range(3):
@@ -205,6 +222,10 @@ def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(one: Make) -> None:
 
 def test_details_are_those_of_the_packet(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     hands = one()
+    hands.put()
+    data = hands.ports[0].waiting[0].data
+    hands.loop.cycle()
+    assert repr(hands.rows[0][0].details()) == repr(EgmCodec(hands.robots[0].robot).details(data))
     for details in (lambda data: data, None):  # a codec of the user's need not have it
         monkeypatch.setattr(hands.arms[0], "_details", details)
         hands.put()
@@ -274,6 +295,17 @@ def test_silence_counts_from_the_newest_packet(one: Make) -> None:
     assert hands.loop.failure is not None
 
 
+@pytest.mark.parametrize("clock", ["wall", "robot"])
+def test_a_session_outlasts_half_a_second_of_silence_only_in_lockstep(one: Make, clock: str) -> None:
+    hands = one(clock=clock)
+    hands.cycle()
+    arm = hands.arms[0]
+    for after, active in ((499 * MS, True), (2 * MS, clock == "robot")):
+        hands.clock.now += after
+        arm.supervisor.check_silence(arm.arrived_ns)
+        assert arm.session.active == active
+
+
 @pytest.mark.parametrize(("clock", "left_out"), [("wall", 1), ("robot", 0)])
 def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(one: Make, clock: str, left_out: int) -> None:
     hands = one(extension=True, clock=clock)
@@ -292,6 +324,11 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(one: Make, cl
     assert reply.seqno == 13 - left_out
     steps = np.diff([row[2].q_sent for row in hands.rows[5:] if row[2].q_sent is not None], axis=0)
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
+
+
+def test_the_time_of_a_packet_is_echoed(one: Make) -> None:
+    hands = one()
+    assert [hands.cycle(tm_ms=tm).tm_ms for tm in (7, None)] == [7, 0]
 
 
 def test_a_packet_that_gets_no_reply_has_a_row(one: Make) -> None:

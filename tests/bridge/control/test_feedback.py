@@ -23,7 +23,7 @@ from armlab.bridge.control.limits import Limiter, Limits
 from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.control.supervision import Settings, Supervisor, check_list
 from armlab.bridge.net.sockets import Port
-from armlab.errors import LinkError, NoRobot, SessionEnded
+from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
 from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm import EgmCodec, Packet
@@ -222,7 +222,7 @@ def test_a_fast_arm_brakes_where_nothing_is_known_of_it(robot: Robot, fields: di
         before = bench(Command(qd=np.full(7, 0.5)))
     if "q" in fields:
         fields = {"q": bench.q + fields["q"]}
-    for _ in range(2 if "motors" in fields else 1):
+    for _ in range(5 if "motors" in fields else 1):  # from the third one on its states are unknown
         held = bench(**fields)
         assert (held.q > before.q).all()
         np.testing.assert_allclose(held.qd, before.qd - 5.0 * T, rtol=1e-6)
@@ -232,9 +232,9 @@ def test_a_fast_arm_brakes_where_nothing_is_known_of_it(robot: Robot, fields: di
 class Supervised:
     """A supervisor over a session that can be given packets."""
 
-    def __init__(self, feed: Any, robot: Robot, **settings: Any) -> None:
+    def __init__(self, feed: Any, robot: Robot, commands: bool = True, **settings: Any) -> None:
         self.port = Port("127.0.0.1", 0)
-        self.machine = StateMachine(robot, Limits.of(robot))
+        self.machine = StateMachine(robot, Limits.of(robot), commands=commands)
         self.told: list[tuple[str, bool]] = []
         self.feed, feed.now = feed, time.monotonic_ns()
         self.supervisor = Supervisor(self.port, feed.session, self.machine, Settings(**settings), self.tell)
@@ -264,6 +264,23 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
     place = f"127.0.0.1:{bench.port.port}"
     for words in ("within 7 s", "1 unparsable", place, "packets only from this computer", "firewall"):
         assert words in str(failure)
+    bench = Supervised(Feed(robot), robot, patience=7.0)
+    bench.check_silence(7.1)
+    assert f"got no packet. Listening on 127.0.0.1:{bench.port.port}. This" in str(bench.machine.failure)
+
+
+def test_a_port_open_to_other_computers_is_not_called_local() -> None:
+    port: Any = SimpleNamespace(host="192.168.125.9", port=6510)
+    assert check_list(port).startswith("Listening on 192.168.125.9:6510. Check that")
+
+
+def test_lost_descriptors_stop_the_arm(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot)
+    bench.packet()
+    bench.port.on_lost()
+    bench.port.close()
+    assert bench.machine.mode is Mode.STOPPING
+    assert isinstance(bench.machine.failure, ControllerFailed)
 
 
 def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -344,9 +361,16 @@ def test_ten_sessions_in_a_row_that_end_at_once_end_the_run(
 
 def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot) -> None:
     bench = Supervised(feed, robot)
+    sessions(bench, 1, 30)
     for _ in range(3):
         sessions(bench, 9, 2)
         sessions(bench, 1, 30)
     assert bench.machine.failure is None
     sessions(bench, 11, 2)
     assert bench.machine.reason == "sessions ended immediately"
+
+
+def test_sessions_of_a_listener_need_packets_only(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot, commands=False)
+    sessions(bench, 11, 2)
+    assert "a session with packets for 0.1 s" in str(bench.machine.failure)

@@ -34,7 +34,8 @@ def test_limits_of_a_robot(robot: Robot) -> None:
     np.testing.assert_allclose(limits.qd_max, 0.5 * robot.qd_max)
     assert limits.jump.tolist() == limits.following_error.tolist() == [0.1] * 7  # type: ignore[union-attr]
     assert Limits.of(robot, following_error=0.03).following_error.tolist() == [0.03] * 7  # type: ignore[union-attr]
-    assert limits.lag == 0.2
+    own = Limits(limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump, limits.entry)
+    assert own.lag == limits.lag == 0.2
     assert Limits.of(robot, lag=0).lag == 0
     for lag in (-0.1, np.inf, np.nan, "0.1", None):
         with pytest.raises(ConfigError, match="lag of at least 0 s"):

@@ -32,11 +32,15 @@ def test_merged_states() -> None:
     def state(robot: str, k: int) -> State:
         return State(k, 0.004, *(np.full(7, j * k) for j in (1.0, 2.0, 3.0)), robot=robot, t_receive=k, seq=k)
 
-    both = merge_states([state("a", 1), state("b", 2)], [0.003, 0.0], 1, 5.0)
-    assert (both.t, both.dt, both.seq, both.robot, both.t_receive) == (5.0, 0.004, 2, "a+b", 2)
+    paced = state("b", 2)
+    both = merge_states([state("a", 1), paced], [0.003, 0.0], 1, 5.0)
+    assert (both.t, both.dt, both.seq, both.robot, both.t_receive, both.age) == (5.0, 0.004, 2, "a+b", 2, 0.0)
     np.testing.assert_array_equal(both.q, [1.0] * 7 + [2.0] * 7)
     np.testing.assert_array_equal(both.tau, [3.0] * 7 + [6.0] * 7)
     assert [arm.age for arm in both.arms] == [0.003, 0.0]
+    assert both.arms[1] is paced
+    newer = merge_states([state("a", 1), paced], [-0.001, 0.0], 1, 5.0)  # its packet came after that of the other arm
+    assert [arm.age for arm in newer.arms] == [0.0, 0.0]
     np.testing.assert_array_equal(both.arms[0].q, np.ones(7))
     assert not both.q.flags.writeable
     assert not both.clamped.flags.writeable
@@ -75,6 +79,11 @@ def test_shares_of_a_common_command() -> None:
 def test_wrong_shares(asked: Any, words: str) -> None:
     with pytest.raises(CommandRefused, match=words):
         split_command(asked, [LEFT, RIGHT])
+
+
+def test_wrong_shares_of_three() -> None:
+    with pytest.raises(CommandRefused, match=r"shape \(21,\), 7 of yumi_left and 7 of .* and 7 of .*, got \(14,\)"):
+        split_command(Command(np.zeros(14)), [LEFT, RIGHT, LEFT])
 
 
 def sway(now: State) -> Command:
@@ -195,6 +204,7 @@ def test_a_command_that_is_none_for_two_arms_holds_both_and_is_the_reason(two: M
 def test_an_arm_that_stops_stops_the_other(two: Make) -> None:
     hands = moving(two(drift))
     hands.arms[1].machine.stop("enough of this arm")
+    hands.cycle(1)  # so the first arm is the last one at rest, and its reply the last one of the run
     hands.run(0, 1)
     assert (hands.loop.reason, hands.loop.failure) == ("enough of this arm", None)
     assert [arm.machine.mode for arm in hands.arms] == [Mode.ENDED] * 2
@@ -206,14 +216,30 @@ def test_the_guard_answers_the_other_arm_too(two: Make) -> None:
         if state.seq == 5:
             hands.put(1, after=4 * MS)
             hands.loop.answer_for_controller()
-            assert [len(port.sent) for port in hands.ports] == [6, 6]
+            sent.append([len(port.sent) for port in hands.ports])
         return drift(state)
 
-    hands = two(controller)
+    hands, sent = two(controller), []
     for _ in range(5):
         hands.cycle(0, 1)
     hands.cycle(0)
+    assert sent == [[6, 6]]
     assert [len(port.sent) for port in hands.ports] == [6, 6]
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_garbage_for_one_arm_is_not_answered_and_is_no_silence(two: Make, bad: int) -> None:
+    looks: list[int] = []
+    hands = two(drift, alive=lambda: "" if looks.append(hands.clock.now) is None else "lost")
+    hands.cycle(0, 1)
+    hands.put(1 - bad)
+    hands.ports[bad].waiting.append(hands.garbage())
+    hands.loop.cycle()
+    assert [len(port.sent) for port in hands.ports] == [1 + bad, 2 - bad]
+    assert hands.arms[bad].session.total_drops == 1
+    assert not looks
+    hands.loop.cycle()
+    assert len(looks) == 2  # nothing came: a look at each arm
 
 
 def test_in_lockstep_no_arm_is_stale(two: Make) -> None:
@@ -254,9 +280,11 @@ def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
     assert (hands.arms[1].session.number, hands.speed(1), hands.rows[-1][1]) == (2, 0.0, None)
 
 
-def test_values_for_rapid_go_out_once(two: Make) -> None:
+@pytest.mark.parametrize(("data", "digital"), [(True, True), (True, None), (None, True)])
+def test_values_for_rapid_go_out_once(two: Make, data: bool | None, digital: bool | None) -> None:
     def controller(state: State) -> tuple[None, Command]:
-        return None, Command(qd=np.full(7, 0.1), rapid_data=[float(state.seq)], rapid_digital=True)
+        values = None if data is None else [float(state.seq)]
+        return None, Command(qd=np.full(7, 0.1), rapid_data=values, rapid_digital=digital)
 
     hands = two(controller)
     hands.robots[1].codec = RobotSideCodec(RIGHT, "7")
@@ -269,8 +297,10 @@ def test_values_for_rapid_go_out_once(two: Make) -> None:
     hands.cycle(1)
     hands.cycle(1)
     table = hands.table(1)
-    np.testing.assert_array_equal(table["rapid_data_sent"][-6:, 0], [18.0, 19.0, np.nan, np.nan, 20.0, np.nan])
-    np.testing.assert_array_equal(np.isfinite(table["rapid_digital_sent"][-4:].astype(float)), [0, 0, 1, 0])
+    if data:
+        np.testing.assert_array_equal(table["rapid_data_sent"][-6:, 0], [18.0, 19.0, np.nan, np.nan, 20.0, np.nan])
+    if digital:
+        np.testing.assert_array_equal(np.isfinite(table["rapid_digital_sent"][-4:].astype(float)), [0, 0, 1, 0])
     np.testing.assert_allclose(table["qd_sent"][[-4, -2], 0], 0.1)
 
 
