@@ -336,9 +336,57 @@ def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
         pushed.reply(None)
         for k in range(3):
             assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(0.4 * (k + 1))
+        assert pushed.reply(Command(pushed.home)).tau == pytest.approx(0.8), "without one it goes as it came"
+        assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(1.2)
         refused = pushed.reply(Command(pushed.home + 1.0, tau=np.full(7, 10.0)))
         assert refused.tau == pytest.approx(0.8)
         pushed.see(motors=2)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_after_a_gap_a_torque_falls_by_no_more_than_in_three_periods(pushed: Bench, late: bool) -> None:
+    pushed.reply(None)
+    for _ in range(10):
+        before = pushed.reply(Command(pushed.home, tau=np.full(7, 10.0)))
+    for _ in range(10):
+        pushed.see()
+    held: Any = pushed.machine.hold(T) if late else pushed.machine.answer(None, T)
+    np.testing.assert_allclose(held.tau, before.tau - 3 * 0.4)
+
+
+@pytest.mark.parametrize("kind", ["q", "tau"])
+def test_a_good_command_ends_the_count_of_the_refusals_before(pushed: Bench, kind: str) -> None:
+    good = Command(**{kind: pushed.home if kind == "q" else np.ones(7)})
+    pushed.reply(None)
+    for _ in range(2):
+        for command in (*[Command(pushed.home + 0.06)] * 150, good, *[Command(np.full(7, np.nan))] * 2, good):
+            pushed.reply(command)
+        assert pushed.mode is Mode.RUNNING
+        pushed.reply(None)
+    assert pushed.machine.refused == 304
+    assert not any("the first position within" in text for text in pushed.feed.warnings), "twice 0.6 s, not 1.2 s"
+
+
+MEASURED = TORQUES | {"measured_torque"}
+
+
+@pytest.mark.parametrize(
+    ("able", "tau", "told", "mode"),
+    [
+        (MEASURED, None, True, Mode.STOPPING),
+        (MEASURED, np.zeros(7), False, Mode.RUNNING),
+        (MEASURED - {"torque"}, None, False, Mode.STOPPING),
+    ],
+)
+def test_a_robot_that_could_take_torques_but_reports_none_is_told(
+    feed: Any, robot: Robot, limits: Limits, able: frozenset[str], tau: Any, told: bool, mode: Mode
+) -> None:
+    feed.packets.codec = RobotSideCodec(robot, extension=True)
+    bench = Bench(feed, robot, limits, capabilities=able)
+    bench.reply(None, tau=tau)
+    assert any("it accepts no torque commands" in text for text in feed.events) == told
+    bench.reply(Command(tau=np.ones(7)), tau=tau)
+    assert bench.mode is mode
 
 
 ABLE = frozenset(("position", "velocity", "external_axes", "rapid_data"))
@@ -552,5 +600,5 @@ def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot
     for q_ext in (here + false, here + false, here):
         beside = cycle(q_ext=q_ext, motors=2 if q_ext is not here else 1)
         np.testing.assert_allclose(beside.q_ext, here)
-    assert len([text for text in feed.warnings if "external axes" in text]) == 1
+    assert ["external axes" in text for text in feed.warnings] == [False, True], "the first is that it is not ready"
     assert machine.ready

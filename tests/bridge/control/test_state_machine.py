@@ -239,6 +239,9 @@ def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     assert bench.machine.t == 0.0
     assert begun == ["again"], "external axes keep no reference of the session before"
     np.testing.assert_allclose(bench.machine.q_start, bench.home + 0.2, rtol=1e-14)
+    assert bench.machine.ready
+    bench.reply(None, seqno=0, motors=None, mci=None)
+    assert not bench.machine.ready, "the states of the session before say nothing of this one"
     bench.machine.lose("the motors were switched off", resume=False)
     assert bench.mode is Mode.ENDED
     assert bench.machine.reason == "the motors were switched off"
@@ -261,6 +264,7 @@ def test_implausible_feedback_never_moves(bench: Bench) -> None:
         assert not bench.machine.calls
     assert bench.mode is Mode.ENDED
     assert "or unit" in str(bench.machine.failure)
+    assert bench(None) is None, "the run has ended, whatever the feedback is now"
 
 
 def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
@@ -272,6 +276,38 @@ def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
     bench.see(motors=2, q=bench.home + 0.03)
     feedback = bench.machine.hold(T)
     np.testing.assert_allclose(feedback.q, bench.home + 0.03, rtol=1e-14)
+
+
+def test_the_first_step_of_a_ready_robot_is_one_period_however_long_nothing_was_sent(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, answer_stream=False)
+    for _ in range(250):
+        assert bench(mci=2) is None
+    moved = bench.reply(Command(bench.home + 0.04)).q - bench.home
+    assert (moved > 0.0).all()
+    assert (moved <= robot.qdd_max * T**2 * (1 + 1e-6)).all()
+
+
+def test_times_of_rest_and_of_refusal_are_over_when_they_are_reached(bench: Bench) -> None:
+    """Eighths of a second add up to half a second at rest, and to a second of refusals, without rounding."""
+    take = bench.feed.sample
+
+    def sample(**fields: Any) -> Any:
+        found = take(**fields)
+        found.step = 0.125
+        return found
+
+    bench.feed.sample, told = sample, []
+    bench.reply(None)
+    for _ in range(9):
+        bench.reply(Command(bench.home + 0.06))
+        told.append(len(bench.feed.warnings))
+    assert told == [0, 0, 0, 0, 0, 0, 0, 1, 1]
+    bench.machine.stop("the time is up")
+    for _ in range(4):
+        assert bench.mode is Mode.STOPPING
+        bench.reply(None)
+    assert bench.mode is Mode.ENDED
+    assert bench(None) is not None, "other arms may still stop"
 
 
 def test_clamps_are_counted_per_joint(bench: Bench) -> None:
@@ -325,7 +361,16 @@ def test_a_hold_or_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None
     assert bench.machine.refused == 6
 
 
-@pytest.mark.parametrize("command", [Command(np.zeros(6)), "up", Command(tau=np.zeros(7))])
+TWO = np.zeros(2)  # one array for two purposes
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *(Command(np.zeros(6)), "up", Command(tau=np.zeros(7)), Command(q_ext=TWO, rapid_data=TWO)),
+        Command(q_ext=True, rapid_data=True, rapid_digital=True),
+    ],
+)
 def test_commands_of_the_wrong_kind_stop_at_once(bench: Bench, command: Any) -> None:
     bench.run()
     bench.reply(command)
