@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import threading
 import time
@@ -21,7 +22,7 @@ from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, Link
 from armlab.log import Column
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, Reference
+from armlab.wire.egm import Drop, EgmCodec, Reference
 from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from .conftest import CONTROLLER, MS, Make, drift
@@ -98,6 +99,16 @@ def test_a_call_that_hangs_is_told_once_after_a_second(one: Make) -> None:
     for _ in range(6):
         hands.cycle()
     assert isinstance(hands.loop.failure, ControllerLate)
+
+
+def test_the_controller_of_one_arm_gets_the_state_that_is_recorded(one: Make) -> None:
+    seen: list[State] = []
+    hands = one(seen.append)
+    for _ in range(3):
+        hands.cycle(T_frame_tool=np.eye(4))
+    assert all(state is row[0] for state, row in zip(seen, hands.rows, strict=True))
+    assert [state.arms for state in seen] == [()] * 3
+    np.testing.assert_allclose(seen[0].T_frame_tool, np.eye(4))
 
 
 def test_looks_come_when_nothing_came_and_twenty_times_a_second(one: Make) -> None:
@@ -371,6 +382,24 @@ def test_memory_is_given_back_before_words_are_made(one: Make, monkeypatch: pyte
     assert "16777216 bytes, given back" in str(hands.loop.failure)
 
 
+def test_a_run_takes_memory_for_its_end_and_gives_it_back(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_left(*_: Any) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    told: list[str] = []
+    reserve = SimpleNamespace(close=lambda: told.append("given back"))
+    monkeypatch.setattr("armlab.bridge.control.loop.mmap", lambda file, size: told.append(f"{size} bytes") or reserve)
+    hands = one(drift, seconds=0.02)
+    hands.run()
+    assert (told, hands.loop.failure) == (["16777216 bytes", "given back"], None)
+    monkeypatch.setattr("armlab.bridge.control.loop.mmap", none_left)
+    hands = one(drift)
+    with pytest.raises(LinkError, match=r"^Expected 16 MiB of free memory for the end of the run: Cannot allocate"):
+        hands.run()
+    assert hands.loop.reason == "the memory needed to end the run is missing"
+    assert not hands.ports[0].sent
+
+
 def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     class Mute(Exception):
         def __str__(self) -> str:
@@ -530,15 +559,31 @@ def test_progress_extra_columns_and_own_limits(play: Any, robot: Robot) -> None:
 def test_a_dry_run_replies_as_a_cycle_does_and_leaves_no_trace(name: str, caplog: pytest.LogCaptureFixture) -> None:
     robot = robots.load(name)
     codec = EgmCodec(robot, extension=True)
+    codec.robotware = "6.06"  # of the run before
     with caplog.at_level(0):
         dry_run = DryRun(End(robot, None, codec), Limits.of(robot))  # type: ignore[arg-type]
-        sent: list[bytes] = []
+        arm, sent = dry_run._loop._arms[0], list[bytes]()
+        before = arm.replies
+        dry_run()
+        assert arm.replies == before + 1
+        assert (arm.session.missed, arm.newest.state.robotware) == (0, "6.10")
         dry_run.send = lambda data, to: not sent.append(data)  # type: ignore[method-assign]
         dry_run()
     assert len(sent) == 1
     reply = RobotSideCodec(robot).decode_sensor(sent[0])
     assert isinstance(reply, SensorMessage)
     np.testing.assert_allclose(reply.q, robot.q_home, atol=1e-12)
-    assert dry_run._loop._arms[0].machine.mode is Mode.RUNNING
-    assert not dry_run._loop._arms[0].rows
-    assert (codec.robotware, caplog.records) == ("", [])
+    assert arm.machine.mode is Mode.RUNNING
+    assert not arm.rows
+    assert (codec.robotware, caplog.records) == ("6.06", [])
+
+
+def test_a_dry_run_of_which_the_codec_drops_the_packet_sends_nothing() -> None:
+    class Deaf(EgmCodec):
+        def decode(self, data: bytes) -> Drop:
+            return Drop("unparsable", "of no use")
+
+    robot = robots.load("yumi_right")
+    dry_run = DryRun(End(robot, None, Deaf(robot)), Limits.of(robot))  # type: ignore[arg-type]
+    dry_run()
+    assert dry_run._loop._arms[0].replies == 0

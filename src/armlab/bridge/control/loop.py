@@ -394,10 +394,9 @@ class Loop:
         is_same = newest.session == pending.session
         command = commands[self._pace_index] if is_same else None
         pace.reply(newest, command, pace.machine.answer(command, pace.period), call_ns=call_ns)
-        if self._others:
-            for arm, command in zip(self._arms, commands, strict=True):
-                if arm is not pace:
-                    arm.set_command(command if is_same else None)
+        for arm, command in zip(self._arms, commands, strict=True):
+            if arm is not pace:
+                arm.set_command(command if is_same else None)
 
     def _have_ended(self) -> bool:
         """Return whether all arms have ended; an arm that is stopping or has ended stops the others."""
@@ -427,8 +426,6 @@ class DryRun:
     reloads it, which shortens the reply latency by a third (benchmarks/bench_egm.py).
     """
 
-    host, port, errors = "", 0, 0
-
     def __init__(self, end: End, limits: Limits) -> None:
         self.capabilities = end.codec.capabilities
         self._codec, robot = copy(end.codec), end.robot
@@ -455,10 +452,10 @@ class DryRun:
         self._codec.reset()
 
     def decode(self, data: bytes) -> Packet | Drop:
-        now, packet = time.monotonic_ns(), self._codec.decode(data)
+        packet = self._codec.decode(data)
         if isinstance(packet, Drop):
             return packet
-        return packet._replace(seqno=self._number, tm_ms=now // 1_000_000 % 2**32, robot_ns=now)
+        return packet._replace(seqno=self._number, robot_ns=time.monotonic_ns())
 
     def encode(self, ref: Reference) -> bytes:
         return self._codec.encode(ref)
