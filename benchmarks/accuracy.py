@@ -22,7 +22,7 @@ WHAT = f"""\
 # Accuracy of the estimated force
 
 This page reports the contact force error and interval coverage of each estimator method, in simulation and on real
-arms. It also compares parameters fitted to the two halves of a log.
+arms. This page also compares parameters fitted to the two halves of a log.
 
 `python benchmarks/accuracy.py` runs the test protocol with {{count}} seeds on a simulated YuMi arm (`{{robot}}`). For
 each seed, a model is identified from 60 s of excitation and then tested on a second log. The test log contains 60 s of
@@ -31,8 +31,9 @@ rest. Motions, noise and pushes differ between seeds. The estimator has access o
 unknown gains, every torque sensor has a gain error of up to {100 * GAINS:.0f} %.
 
 Each cell gives the median over all seeds, with the minimum and maximum in parentheses. Errors are those of the worst
-axis; coverage is computed over all axes. Targets apply to every seed, so at least one seed misses a target if the
-minimum or maximum lies outside it. *Edges* are the first {protocol.EDGE:g} s of each ramp.
+axis; coverage is computed over all axes. Targets apply to every seed: if the minimum or
+maximum lies outside the target range, at least one seed misses the target. *Edges* are the first {protocol.EDGE:g} s of
+each ramp.
 """
 BARS: tuple[tuple[str, str, str, Callable[[Score], object]], ...] = (
     ("force error during pushes, RMS, worst axis [N]", "1.0", "1.5", lambda s: s.rms.max()),

@@ -25,8 +25,8 @@ contender of the same run; times have no targets. Rows in bold are armlab; rows 
 
 SUMMARY = """\
 Contenders run in alternating blocks on the same data, after a check that they compute the same results. Each row gives
-the first measurement of one benchmark: the median of armlab and the fastest contender. A ratio below 1 means that
-armlab is faster. Targets are the project's own limits for ratios and for values other than times. [All
+the first measurement of one benchmark: the median of armlab and that of the fastest contender. A ratio below 1 means
+that armlab is faster. Targets are the project's own limits for ratios and for values other than times. [All
 measurements](benchmarks_all.md) lists every contender with quartiles, every target with the reason for each miss, and
 the method.
 """

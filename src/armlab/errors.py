@@ -78,7 +78,11 @@ class RobotError(ArmlabError, ValueError):
         value : object
             Received value, often the name of a robot.
         """
-        advice = f"Load it first: robots.load({value!r})" if isinstance(value, str) else "Load one with robots.load"
+        advice = (
+            f"Load the robot first: robots.load({value!r})"
+            if isinstance(value, str)
+            else "Load a robot with robots.load"
+        )
         if hasattr(value, "robot"):
             advice = "Pass its attribute `robot`"
             if hasattr(value, "joints"):  # a kinematic calibration

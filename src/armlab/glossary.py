@@ -25,7 +25,7 @@ class Symbol(Shown):
     Attributes
     ----------
     name : symbol as used in code, columns and files.
-    shape : shape in words, with N samples and n joints.
+    shape : shape as text, where N is the number of samples and n the number of joints.
     unit : SI unit.
     frame : axes in which the numbers are expressed; empty if not applicable.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.

@@ -145,7 +145,7 @@ def test_units_for_some_components_are_refused(labels: tuple[str, str], tmp_path
 
 def test_what_a_table_drops_is_said(tmp_path: Path, capsys) -> None:
     read_samples(samples_csv(tmp_path / "a.csv", {"t [s]": np.array([0.0, 0.0, 1.0]), "plane": np.arange(3.0)}))
-    assert "a.csv: 1 rows dropped: their time does not advance (line 3)" in capsys.readouterr().err
+    assert "a.csv: 1 rows dropped: their time does not increase (line 3)" in capsys.readouterr().err
 
 
 def test_joints_of_a_bag_are_left_out_since_their_order_is_not_known(ur5e_bag: Path, capsys, monkeypatch) -> None:

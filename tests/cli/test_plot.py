@@ -58,7 +58,7 @@ def test_part_of_a_log(tmp_path: Path) -> None:
     assert len(LogPart().read(path)) == 10
     assert LogPart(2.0, 5.0).read(path).t.tolist() == [2.0, 3.0, 4.0]
     assert len(LogPart(end=5.0).read(path)) == 5
-    with pytest.raises(LogError, match=r"from 20 to inf s, got no rows: it ends at 9\.000 s"):
+    with pytest.raises(LogError, match=r"from 20 to inf s, got no rows: the log ends at 9\.000 s"):
         LogPart(20.0).read(path)
     nothing = log.write(Table(np.zeros(0), {"q": np.zeros((0, 2))}), tmp_path / "none.csv")
     with pytest.raises(LogError, match=r"Expected rows in .*none\.csv, got an empty log"):

@@ -28,7 +28,8 @@ from armlab.robots import from_links
 
 
 def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> None:
-    """At 50 Hz ripple at twice the gear ratio folds back above 0.7 rad/s or so; the search says for whom."""
+    """At 50 Hz ripple with a frequency of twice the gear ratio folds back above 0.7 rad/s or so; the search says for
+    whom."""
     t = np.arange(0, 8, 0.02)
     f = np.where(np.arange(7) == 2, 2.0, 0.2)
     q = 0.9 * np.sin(f * t[:, None])

@@ -84,7 +84,7 @@ def test_a_clock_that_wraps_and_one_that_stands(tmp_path: Path) -> None:
     path = tmp_path / "wraps"
     stamps = [2**31 - 6, 2**31 - 2, -(2**31) + 2, -(2**31) + 2, -(2**31) + 6]
     path.write_bytes(stream("2014v1", [("robot_row", row(k, tm)) for k, tm in enumerate(stamps)]))
-    with pytest.warns(UserWarning, match=r"1 rows dropped: their time does not advance \(row 3\)"):
+    with pytest.warns(UserWarning, match=r"1 rows dropped: their time does not increase \(row 3\)"):
         table = read(path)
     np.testing.assert_allclose(table.t, [0.0, 0.004, 0.008, 0.012])
     assert table["robot_row.pos"][3, 0] == pytest.approx(0.4)

@@ -143,7 +143,7 @@ def in_disorder(path: Path) -> Path:
 def test_every_format_drops_rows_out_of_time_order_and_names_no_robot(tmp_path: Path, name: str) -> None:
     path = in_disorder(tmp_path / name)
     first = "line 4, line 5" if ".csv" in name else "row 2, row 3"
-    with pytest.warns(UserWarning, match=rf"2 rows dropped: their time does not advance \({first}\); raw=True keeps"):
+    with pytest.warns(UserWarning, match=rf"2 rows dropped: their time does not increase \({first}\); raw=True keeps"):
         table = read(path)
     assert table["x"].tolist() == [1.0, 2.0, 5.0]
     assert any(f"2 rows dropped: their time does not advance ({first})" in note for note in table.notes)

@@ -46,7 +46,7 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
         config: TOML file that describes the cell (robots, sources, parameters and servers); default: from the settings.
         listen: SERVER=ADDRESS or SERVER=INTERFACE: let other computers read from this server, which then accepts no
             commands.
-        seconds: Stop after this time under guidance, by the robot's clock [s].
+        seconds: Stop after this much time under guidance, measured by the robot's clock [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
     from armlab.cli.support.settings import load_settings, read_text
@@ -61,7 +61,8 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
 def set_parameters(*setting: str, cell: Cell = "") -> None:
-    """Set parameters of a running bridge, and show the resulting values. If any value is refused, no parameter changes.
+    """Set parameters of a running bridge, and show the resulting values. If any value is rejected, no parameter is
+    changed.
 
     Parameters:
         setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. Without settings, show all parameters.
@@ -102,7 +103,7 @@ def release(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge resume")
 def resume(*, cell: Cell = "") -> None:
-    """End a stop: the arms accept commands again."""
+    """End a stop, so that the arms accept commands again."""
     from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
@@ -128,7 +129,7 @@ def _operate(request: Request, cell: str) -> None:
 
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
-    """Return the next message of this kind; raise an error if the bridge refuses the request."""
+    """Return the next message of the given kind; raise an error if the bridge rejects the request."""
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         message = feed.receive()
@@ -161,9 +162,10 @@ _CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
 def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
     """Write a lab's certificate authority, a bridge's certificate and key, and the users' passwords.
 
-    ``lab.pem`` is public. ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and the lab's router).
-    ``USER.secret`` is for that user only. ``lab.key`` signs the certificates of further bridges and stays private. Only
-    the owner can read the keys and passwords. An existing authority and existing users are kept.
+    ``lab.pem`` is public. ``bridge.pem``, ``bridge.key`` and ``users.txt`` belong on the bridge's computer (and on that
+    of the lab's router). ``USER.secret`` is for that user only. ``lab.key`` signs the certificates of further bridges
+    and stays private. Only the owner can read the keys and passwords. An existing authority and existing users are
+    kept.
     """
     names = ["localhost", "127.0.0.1", *hosts]
     for name in names:

@@ -50,10 +50,12 @@ PRESSES: tuple[tuple[str, int, float], ...] = (
 
 
 def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
-    """Return the RMS force error [N] caused by 1 % torque errors at home, and the mask (3,) of observable axes.
+    """Return the RMS force error [N] caused by 1 % torque errors at the home position, and the mask (3,) of observable
+    axes.
 
-    The variances are the diagonal of ``(J W Jᵀ)⁻¹``, where W is diagonal, with the inverse squares of 1 % of the torque
-    limits. With fewer than six joints, J is the Jacobian of the tool point alone, because the contact is a pure force.
+    The variances are the diagonal of ``(J W Jᵀ)⁻¹``, where W is the diagonal matrix of the inverse squares of 1 % of
+    the torque limits. With fewer than six joints, J is the Jacobian of the tool point alone, because the contact is a
+    pure force.
     """
     import numpy as np
 
@@ -68,7 +70,7 @@ def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Plan:
-    """Motions and presses of the demo. Times are guidance times of the second run [s]."""
+    """Planned motions of the demo and presses by its operator. Times are guidance times of the second run [s]."""
 
     excitation: Trajectory  # motion of the first run
     test: Trajectory  # motion of the second run
@@ -184,7 +186,7 @@ def demo(
 
 
 def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = False) -> dict[str, Any]:
-    """Run both motions over EGM; return the plan, the fit, the run and the table of the estimate."""
+    """Run both motions over EGM; return the plan, the fit, the run and the table with the estimate."""
     import numpy as np
 
     robot = load_robot(robot_name)
@@ -285,7 +287,7 @@ class DemoVerdict:
             if p["name"].startswith("weight") and not abs(p["error"]) <= MAX_PRESS_ERROR * abs(p["true"])
         ]
         if not self.rest_inside >= 1.0:
-            missed.append(f"true force at rest inside 2 sigma for only {100 * self.rest_inside:.1f} %")
+            missed.append(f"true force at rest within 2 sigma for only {100 * self.rest_inside:.1f} %")
         return tuple(missed)
 
     def text(self) -> str:
@@ -299,8 +301,8 @@ class DemoVerdict:
                 aligned(rows, right=range(1, 7)),
                 f"force error x y z, RMS while swaying and pressing  {rms} N (target {self.bar:.3g})",
                 f"false force x y z, RMS in free motion              {free} N (target {self.bar:.3g})",
-                f"inside 2 sigma while swaying and pressing          {100 * self.coverage:.1f} % (target 85 to 99)",
-                f"at rest: inside 2 sigma {100 * self.rest_inside:.1f} %, mean 2-sigma x y z {band} N: "
+                f"within 2 sigma while swaying and pressing          {100 * self.coverage:.1f} % (target 85 to 99)",
+                f"at rest: within 2 sigma {100 * self.rest_inside:.1f} %, mean 2-sigma x y z {band} N: "
                 "static friction masks small forces",
             ]
         )
@@ -309,7 +311,7 @@ class DemoVerdict:
 def judge(table: Table, plan: Plan) -> DemoVerdict:
     """Compare the recorded live estimate with the operator's forces.
 
-    Cycles without an estimate are ignored; a fraction above MAX_HOLES counts as a missed target.
+    Cycles without an estimate are ignored; if their fraction exceeds MAX_HOLES, the target is missed.
     """
     import numpy as np
 

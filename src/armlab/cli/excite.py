@@ -217,7 +217,7 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
     if asked is None and allowed < 1.0 and share > 1.01 * allowed:
         raise ConfigError(
-            f"Expected a motion within {allowed:g} of the speed limits (the setting speed), got a motion that reaches "
+            f"Expected a motion within {allowed:g} of the speed limits (the speed setting), got a motion that reaches "
             f"{share:.2f}. Use a slower motion, or confirm this one with --speed 1."
         )
 

@@ -1,4 +1,4 @@
-"""``armlab fleet``: router, recorder and list for many robots; identify, estimate and export for many logs."""
+"""``armlab fleet``: route, record and list many robots; identify, estimate and export many logs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 RouterAddress = Annotated[str, Parameter(help="HOST:PORT of the router.")]
-Ca = Annotated[Path | None, Parameter(help="CA certificate of the router: lab.pem of armlab bridge certificates.")]
+Ca = Annotated[
+    Path | None, Parameter(help="CA certificate of the router: lab.pem, written by armlab bridge certificates.")
+]
 Secret = Annotated[Path | None, Parameter(help="Password file (such as viewer.secret), if the router requires one.")]
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
@@ -54,11 +56,11 @@ def router(
         listen: Address of the network interface; remote access requires certificates and users.
         port: TCP port.
         connect: HOST:PORT of another router, whose robots become visible through this router.
-        ca: CA certificate of the lab: lab.pem of armlab bridge certificates.
+        ca: CA certificate of the lab: lab.pem, written by armlab bridge certificates.
         certificate: Certificate of this router: bridge.pem.
         key: Private key of the certificate: bridge.key.
         users: Password file of the users: users.txt.
-        secret: Password file for the routers of --connect: bridge.secret.
+        secret: Password file for the routers given by --connect: bridge.secret.
     """
     from armlab.bridge.servers.zenoh.security import Security
     from armlab.fleet import Router
@@ -200,9 +202,9 @@ class Job:
 def identify(*logs: Path, output: Output, no_cache: bool = False, job: Job = Job()) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
-    The result is bit-identical for any number of workers. The sums over each log are cached, so later runs process only
-    new logs. The exit status is 3 if any log is unusable (all such logs are listed) or if the model is poor. A poor
-    model is saved only with --force.
+    The result is bit-identical for any number of workers. The regression sums of each log are cached, so later runs
+    process only new logs. The exit status is 3 if any log is unusable (all such logs are listed) or if the model is
+    poor. A poor model is saved only with --force.
 
     Parameters:
         logs: Recordings of free motion without contact, or folders of recordings.
@@ -287,7 +289,7 @@ def export(
         logs: Files of any supported format, or folders of such files.
         format: Output format: csv, mat, parquet, h5, mcap or rosbag2.
         output: Folder for the files.
-        job: See `Job`; only mcap uses the robot.
+        job: See `Job`; only mcap output uses the robot.
     """
     from armlab import fleet
 

@@ -136,7 +136,10 @@ def export(
     if ending == ".mat":
         changed = [f"{name} to {own}" for name, own in matlab_names(table.names).items() if own != name]
         if changed:
-            note(f"Columns renamed for MATLAB: {', '.join(changed)}. The struct `names` in the file lists them.")
+            note(
+                f"Columns renamed for MATLAB: {', '.join(changed)}. The "
+                "struct `names` in the file lists the renamed columns."
+            )
     result(str(output))
 
 
@@ -199,9 +202,8 @@ def cut(
         file: A finished or unfinished recording, or a log in another format.
         from_: Start [s], as shown by armlab log show and in figures; default: the beginning.
         to: End [s]; default: the end.
-        robot: Robot to select from a recording of several robots; default for .mcap: all. Otherwise as in armlab log
-            export.
-        output: The new file: .mcap for a recording, or an extension supported by armlab log export.
+        robot: Robot to select from a recording of several robots; default for .mcap: all. For other formats, see armlab
+        log export. output: The new file: .mcap for a recording, or an extension supported by armlab log export.
     """
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign
@@ -239,9 +241,9 @@ def resample(
 ) -> None:
     """Resample a log to a uniform rate.
 
-    Numbers are interpolated linearly, and poses and quaternions along geodesics. Counts, flags and texts keep the value
-    of the previous row. Use this command for logs with skipped cycles or jittered timestamps. The rate must not be
-    lower than that of the log; to downsample, filter first.
+    Numbers are interpolated linearly, and poses and quaternions along geodesics. Counts, flags and text columns keep
+    the value of the previous row. Use this command for logs with skipped cycles or jittered timestamps. The rate must
+    not be lower than that of the log; to downsample, filter first.
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
@@ -298,7 +300,7 @@ def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggle
     if not armlab.log.inspect(file).finished:
         raise LogError(
             f"Expected a finished recording, got the truncated {file}, which other programs cannot open. "
-            f"Repair it: armlab log recover {file}."
+            f"Repair the file: armlab log recover {file}."
         )
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
     viewer, program = chosen(wanted)
@@ -463,7 +465,7 @@ VIEWERS = {
         "rerun",
         ("--bind", "127.0.0.1"),  # the default is all network interfaces
         "pip install rerun-sdk, into a separate environment",
-        " It may connect to external hosts; `rerun analytics disable` prevents that.",
+        " Rerun may connect to external hosts; `rerun analytics disable` prevents that.",
     ),
 }
 

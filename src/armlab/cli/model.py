@@ -83,7 +83,7 @@ def poses_of(value: Any) -> dict[tuple[str, str], np.ndarray]:
 
 
 def _position_and_turn(T: np.ndarray) -> tuple[list[float], list[float]]:
-    """Return position and quaternion w x y z with w >= 0."""
+    """Return the position and the quaternion w x y z with w >= 0."""
     q = armlab.lie.quaternion.from_matrix(T[:3, :3])
     return (T[:3, 3] + 0.0).tolist(), (q * (1.0 if q[0] >= 0 else -1.0) + 0.0).tolist()
 
@@ -108,7 +108,7 @@ def _tf(a: str, b: str, T: np.ndarray) -> str:
 
 
 def _components(T: np.ndarray) -> dict[str, str]:
-    """Return position and quaternion as text by component: x, y, z, qx, qy, qz, qw."""
+    """Return the position and the quaternion as text, keyed by component: x, y, z, qx, qy, qz, qw."""
     p, (w, *xyz) = _position_and_turn(T)
     return {name: f"{value:.12g}" for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*p, *xyz, w))}
 

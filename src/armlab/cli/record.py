@@ -37,7 +37,7 @@ def record(
             runright.mcap.
         lead_through: Print the steps of lead-through (hand guiding) first, and warn if the arm does not start in its
             home posture.
-        seconds: Stop after this time, by the robot's clock [s], counted from the first packet.
+        seconds: Stop after this time [s], measured by the robot's clock from the first packet.
         patience: Give up after this time without packets [s]; default: wait indefinitely.
     """
     from armlab.bridge.control.recording import paths
@@ -73,8 +73,8 @@ def record(
 _STEPS = """Lead-through, step by step:
   1. Select manual mode with motors off, and move the program pointer to main of ArmlabStream.mod, which only streams.
   2. Start RAPID with the arm in its home posture. This program reports the first packet.
-  3. Stop RAPID and switch lead-through on, on the pendant or by SetLeadThrough \\On. Some controllers stop sending
-     packets at this point; in this case, switch lead-through on in RAPID before streaming starts.
+  3. Stop RAPID and switch on lead-through, either on the pendant or with SetLeadThrough \\On. Some controllers stop
+     sending packets at this point; in this case, switch lead-through on in RAPID before streaming starts.
   4. Move the arm by hand. Ctrl-C ends the recording.
   5. Switch the motors off before you start RAPID again."""
 

@@ -143,8 +143,8 @@ def _calibrated(arm: Robot, path: Path) -> Robot:
             part.check_robot(arm)
             return part.robot
     raise ModelMismatchError(
-        f"Expected a calibration of {arm.name!r} in {path}, got {type(found).__name__}. Create one with armlab "
-        "calibrate kinematics."
+        f"Expected a calibration of {arm.name!r} in {path}, got "
+        f"{type(found).__name__}. Create a calibration with armlab calibrate kinematics."
     )
 
 
@@ -159,7 +159,7 @@ def _not_in_urdf(model: TorqueModel) -> dict[str, str]:
         "constant torque [N m]": friction.offset,
         "Stribeck torque [N m]": friction.stribeck,
         "torque per square root of velocity [N m sqrt(s/rad)]": friction.root,
-        "friction torque per load torque": friction.load,
+        "friction torque per unit of load torque": friction.load,
     }
     return {name: " ".join(f"{x:.9g}" for x in values) for name, values in told.items()}
 

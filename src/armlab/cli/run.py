@@ -51,7 +51,7 @@ def run(
         log: Prefix of the log name, to which the time is appended; or a folder, in which case the prefix is the robot's
             name. Default: the log folder of the settings.
         no_log: Record nothing.
-        seconds: Stop after this time under guidance, by the robot's clock [s].
+        seconds: Stop after this much time under guidance, measured by the robot's clock [s].
         speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: from the settings, else 1.
         wait: Method of waiting for packets: ahead (default, or from the settings), block, or spin (busy waiting on one
             core).
@@ -92,7 +92,7 @@ def run(
 
 CHECKS = """A real arm will move now: keep clear, keep a hand on the emergency stop, and start slowly (--speed 0.1).
 Follow this order: select automatic mode (or manual mode with the enabling device), switch the motors on, start RAPID
-from main, start this program."""
+from main, and start this program."""
 
 
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
@@ -106,7 +106,7 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
         raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}, but there is no file {path}.")
     spec = spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise ConfigError(f"Expected a Python file, got {path}. Rename it so that it ends in .py.")
+        raise ConfigError(f"Expected a Python file, got {path}. Rename the file so that its name ends in .py.")
     module = module_from_spec(spec)
     sys.path.insert(0, str(path.parent.resolve()))
     try:
@@ -198,8 +198,9 @@ def play(
     """Run a joint trajectory on a robot, or replay the motion in a log.
 
     Moves the robot to the start at moderate speed, runs the trajectory, records a log, and prints the distance from the
-    goal. The path between points is linear with positions alone, cubic with velocities, and quintic with accelerations.
-    A trajectory outside the limits is rejected. To replay at another speed, fit a primitive: armlab dmp fit.
+    goal. The path between points is linear if the file contains only positions, cubic if it also contains velocities,
+    and quintic if it also contains accelerations. A trajectory outside the limits is rejected. To replay at another
+    speed, fit a primitive: armlab dmp fit.
 
     Parameters:
         file: A trajectory_msgs/JointTrajectory or a FollowJointTrajectory goal in JSON; or a log or CSV file. Replays

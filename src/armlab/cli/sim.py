@@ -135,11 +135,10 @@ class RwsOptions:
     Attributes:
         rws: TCP port on 127.0.0.1 for Robot Web Services: RWS 1.0 for RobotWare 6, 2.0 over TLS for RobotWare 7; 0
             selects a free port. The controller then starts with motors off and no program, and sends packets once RAPID
-            runs. The user name and password are read from ARMLAB_RWS_USER and ARMLAB_RWS_PASSWORD, else ABB's "Default
-            User" and "robotics".
-        rws_fault: Faults of the controller, separated by commas: version, password, option, manual,
-            emergency-stop, guard-stop, motors, mastership, busy, main, module, file, semantic, device, address,
-            interface.
+            runs. The user name and password are read from ARMLAB_RWS_USER and ARMLAB_RWS_PASSWORD; default: ABB's
+            "Default User" and "robotics". rws_fault: Faults of the controller, separated by commas: version, password,
+            option, manual, emergency-stop, guard-stop, motors, mastership, busy, main, module, file, semantic, device,
+            address, interface.
     """
 
     rws: int | None = None
@@ -314,7 +313,7 @@ def sim(
         lockstep: Wait for each reply, and run as fast as the bridge replies; equal seeds produce identical bytes.
         seed: Seed of the noise, the faults and the random hand; for several robots, optionally one seed each, separated
             by commas.
-        seconds: Stop after this time, by the robot's clock [s]; default: run until Ctrl-C.
+        seconds: Stop after this time, measured by the robot's clock [s]; default: run until Ctrl-C.
         extension: Also send velocities and torques (research extension, field 101), and accept torque and gain
             commands.
         phase: With several robots: delay of each robot's packets after those of the previous robot [s].
@@ -458,8 +457,8 @@ class _SharedOptions:
         if not why:
             if robot.inertias is not None and math.inf in robot.tau_max:
                 note(
-                    f"note: {robot.name} has joints without an effort limit. Their drives are scaled from the torque "
-                    "that holds the outstretched arm"
+                    f"note: {robot.name} has joints without an effort limit. Their "
+                    "drives are sized by the torque needed to hold the outstretched arm"
                 )
             return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
         unusable = {"operator": self.around.operator and not index, "grip": self.around.grip and not index}

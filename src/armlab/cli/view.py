@@ -40,8 +40,8 @@ def view(
     """Show logs in the browser until Ctrl-C; with --live a running bridge, with --fleet all robots at a router.
 
     Prints the address of the page. Only this computer can open the page; for remote viewing, forward the port with ssh
-    -L. A view is read-only: it cannot delay or command the bridge. It waits for the bridge to start, and reconnects
-    after a restart.
+    -L. A view is read-only: it cannot delay or command the bridge. The view waits for the bridge to start, and
+    reconnects after a restart.
 
     Parameters:
         what: Log files of one or several arms; with --live, the name of an arm (default: all arms).
@@ -63,7 +63,7 @@ def view(
     """
     if fleet:
         if what or live or robot or model or cell or package_path:
-            raise ConfigError("Expected at most --zenoh and --port with --fleet, got more options. Omit the others.")
+            raise ConfigError("Expected only --zenoh and --port with --fleet, got other options. Omit the others.")
         _watch_fleet(zenoh, port)
         return
     known = [armlab.models.load(path, "torque_model") for path in model or ()]
@@ -74,7 +74,11 @@ def view(
         _play(what, robot or (), known, port, package_path, force, columns)
         return
     if cell and zenoh:
-        raise ConfigError(f"Expected --cell of this computer or --zenoh, got {cell} and {zenoh}. Omit one of them.")
+        raise ConfigError(
+            "Expected either --cell for a bridge on this computer or "
+            f"--zenoh, got both, {cell} and "
+            f"{zenoh}. Omit one of these options."
+        )
     if len(what) > 1:
         raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Omit the names to see all arms.")
     from armlab.live.live_bridge import watch

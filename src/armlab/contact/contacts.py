@@ -124,8 +124,9 @@ def hypotheses(
     ----------
     table : log with q, qd, tau_error and tau_variance (N, n), from `Estimator.run` with a static method.
     robot : the arm.
-    point : (3,) contact of the hypothesis "point", tool axes [m]; default: the tool point, unless a segment is given.
-    segment : (M, 3) corners of a line on the tool, tool axes [m]; default: no such hypothesis.
+    point : (3,) contact point of the hypothesis "point", tool axes [m]; default: the tool point, unless a segment is
+    given.
+    segment : (M, 3) vertices of a polyline on the tool, tool axes [m]; default: no segment hypothesis.
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; default: 20 N and 2 N m.
     window : window length [s]; contacts shorter than a window are averaged with free motion.
     memory : correlation time of the torque error [s], see `correlation_time`. A window counts as window / (2 memory)
@@ -370,7 +371,7 @@ class Comparison(Shown):
         """Return the force errors as one line."""
         rms = " ".join(f"{value:.2f}" for value in self.rms[:3])
         share = 100 * float(np.mean(self.inside[:3]))
-        return f"force x y z against {self.against}: {rms} N RMS, {share:.0f} % inside 2 sigma"
+        return f"force x y z against {self.against}: {rms} N RMS, {share:.0f} % within 2 sigma"
 
 
 def compare(table: Table) -> Comparison:
@@ -399,7 +400,7 @@ def compare(table: Table) -> Comparison:
     error = table["wrench_hat"] - table[source]
     known = np.isfinite(error).all(axis=1)
     if not known.any():
-        raise UnknownName(f"Expected rows with an estimate and with {source}, got none among {len(table)}.")
+        raise UnknownName(f"Expected rows with an estimate and with {source}, got no such row among {len(table)}.")
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
     rms = np.sqrt(np.mean(error[known] ** 2, axis=0))
     inside = np.mean(np.abs(error[known]) <= 2 * sigma[known], axis=0)

@@ -1,7 +1,7 @@
 """Causal estimation of the contact wrench from joint motion and torque at the control rate.
 
-Static methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
-C_tau(qd) over velocity.
+Static methods use ``tau_e = model - measured = J^T F + error``, low-pass filtered at the model's cut-off frequency, and
+its velocity-dependent covariance C_tau(qd).
 
 "map"       maximum a posteriori F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. Valid at
             singular poses, where unobservable directions keep the prior. Shrinkage causes the bias ``(I - K J^T) F``.
@@ -150,7 +150,7 @@ def check_distance(places: np.ndarray, robot: Robot) -> None:
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:
         raise ShapeError(
-            f"Expected a contact point within {length:.3g} m of the tool, the length of {robot.name!r}, got one "
+            f"Expected a contact point within {length:.3g} m of the tool, the length of {robot.name!r}, got a point "
             f"{far:.4g} m away. Pass metres in tool axes; divide millimetres by 1000."
         )
 
@@ -171,9 +171,9 @@ class Estimator:
     Static methods use a second-order residual filter at the model's cut-off (10 Hz: 22 ms delay), the observer uses a
     first-order filter (33 ms), and the delay of the Kalman filter follows from the covariances.
 
-    Create one estimator per thread; shared by two threads, its filter would mix their samples. Another thread may take
-    over an estimator; `step` then raises `ConcurrentUse` in earlier threads until `reset`. A copy has the same state;
-    an unpickled estimator starts in the reset state.
+    Create one estimator per thread; if two threads shared an estimator, its filter would mix their samples. Another
+    thread may take over an estimator; `step` then raises `ConcurrentUse` in earlier threads until `reset`. A copy has
+    the same state; an unpickled estimator starts in the reset state.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ class Estimator:
     def tare(self) -> None:
         """Declare that there is no contact now; the torque error is then attributed to friction.
 
-        This conditions the state on a zero wrench. The tare is valid while every joint stays in place. Once a joint
+        The tare conditions the state on a zero wrench. The tare is valid while every joint stays in place. Once a joint
         moves by more than its presliding distance, its friction changes: the friction error is discarded and the flag
         TARED is cleared.
 
@@ -347,7 +347,7 @@ class Estimator:
         if self._tare is None:
             raise ConfigError(
                 f"Expected an estimator with method='kf' and bias=True to tare, got method={self._method!r} without a "
-                "friction state. Create one with these options."
+                "friction state. Create an estimator with these options."
             )
         self._refuse_running()
         if not self._tare():
@@ -374,8 +374,8 @@ class Estimator:
         ----------
         table : log with columns q, qd, tau (N, n).
         tare : duration from the start [s], or slice of rows, in which the arm rests without contact. The torque error
-            there is attributed to friction while every joint stays within its presliding distance. The torque standard
-            deviation drops by up to half. These rows have the flag TARED.
+            in this interval is attributed to friction while every joint stays within its presliding distance. The
+            torque standard deviation drops by up to half. These rows have the flag TARED.
         progress : called with (rows done, total rows, description).
 
         Raises
@@ -414,7 +414,7 @@ class Estimator:
         return table if interval is None else table.with_column("wrench_interval", interval)
 
     def _tared(self, table: Table, tare: float | slice, tell: Callable[[int, int, str], None] | None) -> Table:
-        """Return the estimates of `run`, tared while every joint is in place."""
+        """Return the estimates of `run`, with the tare applied while every joint stays in place."""
         plain = self.run(table, progress=tell)
         model, shift, rows = tared(self._model, self._robot, table, tare)
         rested = self._with(model).run(table.with_column("tau", table["tau"] + shift), progress=tell)
@@ -444,7 +444,7 @@ class Estimator:
             if tell is None or rows < PARTS:
                 return self._kernel.run(q, qd, tau, dt)
             for a, b in pairwise(np.linspace(0, rows, PARTS + 1).astype(int)):
-                tell(int(a), rows, f"{self._method} of {rows} rows")
+                tell(int(a), rows, f"{self._method} estimate of {rows} rows")
                 parts.append(self._kernel.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]))
             tell(rows, rows, "done")
             return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))

@@ -156,7 +156,7 @@ def coriolis_matrix(
 ) -> np.ndarray:
     """Return the Coriolis matrix C(q, qd) (..., n, n) from Christoffel symbols, ``C_ij = sum of Gamma_ijk qd_k``.
 
-    ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew. For the vector ``C qd`` alone, use `coriolis`.
+    ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew-symmetric. For the vector ``C qd`` alone, use `coriolis`.
 
     Parameters
     ----------

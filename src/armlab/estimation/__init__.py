@@ -1,4 +1,5 @@
-"""Estimation for the whole package: `Fit`, streaming and robust least squares, excitation, block bootstrap."""
+"""Estimation tools used by the whole package: `Fit`, streaming and robust least squares, excitation, block
+bootstrap."""
 
 from armlab.estimation.contract import Contract, ContractLimits, Experiment, Gauge, check_estimator
 from armlab.estimation.errors_in_variables import total_least_squares

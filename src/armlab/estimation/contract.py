@@ -114,7 +114,8 @@ def _se(runs: list[FitRun]) -> float:
 
 
 def consistent(trial: ContractTrial) -> Verdict:
-    """Four times as many samples halve the error or, with a given Cramer-Rao bound, reduce it like the bound."""
+    """With four times as many samples, the error halves or, if a Cramer-Rao bound is given, decreases in proportion to
+    the bound."""
     few, many = _runs(trial, 1), _runs(trial, 4)
     W = _weight(few)
     ratio, found = _rms(many, W) / _rms(few, W), ""
@@ -164,7 +165,7 @@ def efficient(trial: ContractTrial) -> Verdict:
         passed &= ratio <= limit
         parts.append(f"{name} {ratio:.3f} (limit {limit:.3f})")
     text = "ratio of the error to the Cramer-Rao bound: " + ", ".join(parts)
-    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged only for {ENOUGH} runs or more")
+    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; assessed only with {ENOUGH} or more runs")
 
 
 def robust(trial: ContractTrial) -> Verdict:
@@ -246,7 +247,8 @@ def gauge_free(trial: ContractTrial) -> Verdict:
 
 
 def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
-    """Return the largest error relative to its parameter; infinity for errors in different coordinates."""
+    """Return the largest parameter error relative to its parameter; infinity if the errors are not in parameter
+    coordinates."""
     if e.shape != fit.parameters.shape:
         return np.inf
     return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
@@ -325,7 +327,7 @@ def _nan_faults(trial: ContractTrial) -> list[str]:
             faults.append(f"NaN in {name} accepted")
         except ShapeError as error:
             if str(row) not in str(error):
-                faults.append(f"NaN in {name} raised an error without its row")
+                faults.append(f"NaN in {name} raised an error that does not name the row")
         except Exception as error:  # any other exception is a finding
             faults.append(f"NaN in {name} raised {type(error).__name__}")
     return faults if tried else ["no array of samples to test with NaN"]
@@ -493,7 +495,7 @@ class Contract(Shown):
 
 
 def difference(fit: Fit[Any], truth: Any) -> np.ndarray:
-    """Return the parameter error (d,) of a fit relative to a truth of the same shape."""
+    """Return the parameter error (d,) of a fit, given the true parameters (d,)."""
     return fit.parameters - np.asarray(truth)
 
 
@@ -519,7 +521,7 @@ def check_estimator(
     ----------
     fit : function that takes `Experiment.data` as keyword arguments and returns a `Fit`.
     experiment : function of (seed, n) that returns an `Experiment` of n samples; equal seeds give equal experiments.
-    runs : number of experiments. With at least 1000, narrower benchmark limits apply and efficiency is assessed.
+    runs : number of experiments. With at least 1000 runs, narrower benchmark limits apply and efficiency is assessed.
     n : number of samples per experiment; the consistency test also runs experiments with 4 n samples.
     error : function of (fit, truth) that returns the error (d,) in the coordinates of `fit.cov`, or an error (m,) and
         its covariance (m, m). If `fit.cov` is rank-deficient, return for example the errors at validation poses.

@@ -76,7 +76,7 @@ def total_least_squares(
     p = A.shape[1]
     labels = tuple(names) if names is not None else tuple(f"x{k}" for k in range(p))
     if any(k not in range(p) for k in exact):
-        raise ShapeError(f"Expected exact columns from 0 to {p - 1}, got {list(exact)}. Number them from 0.")
+        raise ShapeError(f"Expected exact columns from 0 to {p - 1}, got {list(exact)}. Number the columns from 0.")
     free = np.setdiff1d(np.arange(p), list(exact))
     if len(labels) != p:
         raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column exactly once.")

@@ -79,7 +79,8 @@ class Excitation(Shown):
         ----------
         A : (m, p) whitened design matrix, or its triangle R (p, p).
         names : names of the p parameters.
-        max_condition : ratio of the largest singular value to the smallest that still counts towards the rank.
+        max_condition : largest ratio of the largest singular value to a singular value that still counts towards the
+        rank.
         """
         A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
@@ -236,8 +237,8 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
 
     With the active bounds A, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``. A is optimal if every
     free z is inside and every multiplier m points inwards. Block principal pivoting exchanges all violating variables
-    at once. After ten rounds without progress, it exchanges only one at a time, which always terminates (Portugal,
-    Judice and Vicente 1994).
+    at once. After ten rounds without progress, it exchanges only one variable at a time, which guarantees termination
+    (Portugal, Judice and Vicente 1994).
     """
     if np.all((x >= lower) & (x <= upper)):
         return x
@@ -445,7 +446,7 @@ def _solve_once(
 def _free_solution(
     R: np.ndarray, y: np.ndarray, basis: np.ndarray, excitation: Excitation, prior: Prior | None
 ) -> np.ndarray:
-    """Return the solution without bounds; the prior alone determines held directions."""
+    """Return the solution without bounds; the directions held by a prior are determined by the prior alone."""
     if prior is None or excitation.rank == excitation.expected:
         seen = excitation.singular_values > np.finfo(float).eps * len(R) * excitation.singular_values[0]
         basis = basis[:, seen[: basis.shape[1]]]

@@ -160,7 +160,8 @@ class Whitened:
         return np.bincount(self.sample + 1, minlength=count + 1)[1:]
 
     def times(self, weight: np.ndarray) -> Whitened:
-        """Scale the rows by the root of the sample weights (N,) and drop rows of weight 0; priors stay unscaled."""
+        """Scale the rows by the square root of the sample weights (N,) and drop rows of weight 0; priors stay
+        unscaled."""
         if np.all(weight == 1.0):
             return self
         root = np.sqrt(np.append(weight, 1.0))[self.sample]
@@ -219,7 +220,7 @@ class NonlinearProblem(Shown, Generic[Value]):
     retract : function that returns a value moved by a step x (d,).
     scale : (d,) unit of each component of x, for the minimum-norm step; default: inverse norms of the columns of J.
     what : name of the fitted quantity, for messages.
-    residue : standard deviation in SI units below which residuals are rounding errors.
+    residue : standard deviation in SI units below which residuals are regarded as rounding errors.
     """
 
     evaluate: Callable[[Value], Sequence[Measurement]]
@@ -231,7 +232,7 @@ class NonlinearProblem(Shown, Generic[Value]):
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[Value]):
-    """Result of a descent."""
+    """Result of a Gauss-Newton descent."""
 
     value: Value
     rows: Whitened  # whitened residuals and Jacobian, including sample weights
@@ -265,7 +266,8 @@ def descend(
 
     The covariance stays fixed during a step, which makes the actual and the predicted cost decrease comparable. The
     descent has converged when the step is below 1e-9 standard deviations of the estimate, or the cost is at its
-    rounding floor. If not `strict`, it may stop earlier; rows and basis are then those before the last step.
+    rounding floor. Unless `strict` is set, the descent may stop earlier; the rows and the basis are then those before
+    the last step.
     """
     value, now = start, problem.evaluate(start)
     damping, growth, here = 0.0, 2.0, None
@@ -347,7 +349,7 @@ class _Linearised:
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """Determined directions (d, r), scaled such that J times them is orthonormal."""
+        """Determined directions (d, r), scaled so that J times these directions is orthonormal."""
         return self._singular[0] if self._inverse is None else self.scale[:, None] * self._inverse
 
     @property
@@ -439,8 +441,8 @@ def nonlinear_least_squares(
     schedule : values of c of the graduated loss, in standard deviations, for given noise.
     near : True if the start already fits the good samples. The loss is then narrow from the beginning, so outliers
         cannot bias the estimate.
-    majority : with `robust` and unknown noise, also search for the fit of most samples near the solution. Needed if a
-        third of the samples share the same error: they bias the estimate and inflate the noise scale.
+    majority : with `robust` and unknown noise, also search near the solution for a fit to the majority of the samples.
+        Needed if a third of the samples share the same error: they bias the estimate and inflate the noise scale.
 
     Raises
     ------
@@ -514,7 +516,7 @@ def _graduate(
     weight: np.ndarray,
     schedule: Sequence[float],
 ) -> tuple[Value, dict[str, float], np.ndarray]:
-    """Narrow the loss step by step; return the value, the noise, and the inliers (N,) as 0 or 1."""
+    """Narrow the loss step by step; return the value, the noise, and the inlier mask (N,), 0 or 1."""
     count = len(weight)
     for c in schedule:
         for _ in range(REWEIGHTED):

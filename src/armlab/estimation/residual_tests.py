@@ -44,12 +44,13 @@ class ResidualCheck:
 
     @property
     def correlated(self) -> np.ndarray:
-        """Mask (C,) of the classes with correlated neighbours."""
+        """Mask (C,) of the classes in which neighbouring residuals are correlated."""
         return (self.lag1_z > ALARM) | (self.runs_z > ALARM)
 
     @property
     def suspicious(self) -> np.ndarray:
-        """Mask (C,) of possibly correlated classes; if the halves disagree, of all classes with enough samples."""
+        """Mask (C,) of the classes whose residuals may be correlated; if the halves disagree, all classes with enough
+        samples."""
         return self.correlated | ((self.halves_p < RARE) & (self.lag1_z != 0.0))
 
     @property
@@ -77,7 +78,8 @@ class ResidualCheck:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Whitened residuals r (M,) and U (M, d) with class, channel and sample (M,); class -1 for priors."""
+    """Whitened residuals r (M,) and U (M, d) with the class, channel and sample (M,) of each row; class -1 for
+    priors."""
 
     r: np.ndarray
     U: np.ndarray

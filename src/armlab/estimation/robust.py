@@ -4,7 +4,7 @@ Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear
 ``min(1, k s / |r|)``; the scale s of each class is the median absolute residual divided by 0.6745. The estimator is
 95 % efficient for Gaussian residuals, and is suited to isolated outliers.
 
-Trimmed: keep the 75 % of the time blocks that fit best together, then add every block consistent with them. This
+Trimmed: keep the 75 % of the time blocks that fit best together, then add every block consistent with them. This method
 handles whole outlier segments, such as contacts and collisions.
 """
 
@@ -128,9 +128,9 @@ class BlockSums(Shown):
     def spread(self, length: int = 1) -> np.ndarray:
         """Return the effective number of segments that determine each parameter (p,), 1 / sum_s h_s^2.
 
-        h_s = b^T G_s b / b^T b is the fraction of the information on the parameter in segment s, with b the parameter's
-        row of `basis`. The result is 1 if a single segment determines the parameter, the number of segments for equal
-        fractions, and infinity for a parameter held by a prior.
+        h_s = b^T G_s b / b^T b is the fraction of the information on the parameter contributed by segment s, where b is
+        the parameter's row of `basis`. The result is 1 if a single segment determines the parameter, the number of
+        segments for equal fractions, and infinity for a parameter held by a prior.
 
         Parameters
         ----------
@@ -240,7 +240,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
 
 def shrinkage(scores: np.ndarray) -> float:
-    """Return d (0 to 1) for which ``(1 - d) S + d trace(S) / p`` is closer to the truth than ``S = scores^T scores``.
+    """Return d (0 to 1) for which ``(1 - d) S + d trace(S) / p`` is closer to the true covariance than ``S = scores^T
+    scores``.
 
     `scores` (B, p) are gradients of B independent segments in coordinates with unit formal covariance (Ledoit and Wolf
     2004, lemma 3.2).
@@ -349,7 +350,8 @@ def _reweighted(
     residuals: dict[int, list[np.ndarray]],
     weights: list[np.ndarray],
 ) -> Iterator[Rows]:
-    """Yield the rows scaled by the root of their Huber weight; collect the residuals per class and the weights."""
+    """Yield the rows scaled by the square root of their Huber weight; collect the residuals per class and the
+    weights."""
     for piece in rows:
         e = piece.y - piece.A @ (x if piece.columns is None else x[piece.columns])
         residuals.setdefault(piece.group, []).append(e)
@@ -458,7 +460,8 @@ UNOBSERVABLE = 1e-9  # relative singular value
 
 
 def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
-    """Return the step (d,) of the linearised problem from a value biased by outliers to the fit of most samples.
+    """Return the step (d,) of the linearised problem from a value biased by outliers to the fit of the majority of the
+    samples.
 
     Fits to random minimal subsets are refined on the samples that fit best and selected by the median residual of each
     class (least trimmed squares, Rousseeuw and van Driessen 2006). `sample` (0 to `count` - 1) and `label` (class)

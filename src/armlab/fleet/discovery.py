@@ -147,7 +147,8 @@ class Router:
         if far and not safe.is_safe:
             raise ConfigError(
                 f"Expected certificates and users for a router {far[0]}, because it forwards commands to robots, got "
-                "none. Create them with armlab bridge certificates, then pass ca, certificate, key and users."
+                "none. Create certificates and users with armlab bridge "
+                "certificates, then pass ca, certificate, key and users."
             )
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._session = open_session("router", [place], list(connect), safe)

@@ -1,9 +1,9 @@
 """`identify` fits one torque model to many logs with bit-identical results on any executor; `SumCache` stores the sums.
 
-With a cache, adding ten logs takes only the time of ten logs, and an interrupted run can be resumed. The name of a
-cache file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which
-includes the robot), the armlab version and the version of the sums. The file contains plain arrays in the .npz format,
-never objects; an unreadable file is rewritten.
+With a cache, adding ten logs takes only as long as processing those ten logs, and an interrupted run can be resumed.
+The name of a cache file is a hash of everything that determines its sums: the bytes of the log, its column names, the
+pattern (which includes the robot), the armlab version and the version of the sums. The file contains plain arrays in
+the .npz format, never objects; an unreadable file is rewritten.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def _draft(
 ) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
     """Fit the first usable logs, as many as the model needs.
 
-    Also return the names of these logs, and why the logs before and between them are unusable. Workers test each log
-    before it is read in this process, so a log that crashes its reader does not crash this process.
+    Also return the names of these logs, and the reasons why the logs before and between them are unusable. Workers test
+    each log before it is read in this process, so a log that crashes its reader does not crash this process.
     """
     tried = _Tried(jobs, (robot, columns), executor, lambda: tell(0, 5, "reading the first logs"))
     wanted = DRAFT_SECONDS

@@ -83,7 +83,7 @@ def map_logs(
 
 
 class _JobRun:
-    """Run of all jobs, with their results and progress."""
+    """Execution of all jobs, with their results and progress."""
 
     def __init__(
         self,

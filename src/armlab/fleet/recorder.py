@@ -186,8 +186,8 @@ class RobotRecord:
     late : number of rows dropped because an equal or newer tick had already been received.
     last : newest tick, -1 before the first row.
     paths : files so far.
-    failed : reason why the last file stopped, or None.
-    wants : whether rows wait for a description.
+    failed : reason why writing to the last file stopped, or None.
+    wants : whether rows are waiting for a description.
     """
 
     rows: int
@@ -380,7 +380,7 @@ class RobotRecord:
 
     def _fail(self, why: str) -> None:
         if why != self.failed:
-            self._tell(f"{self.name}: {why} The next attempt is in {_AGAIN:g} s.")
+            self._tell(f"{self.name}: {why} Retrying in {_AGAIN:g} s.")
         self.failed, self._retry = why, time.monotonic() + _AGAIN
 
     def _finish(self) -> None:
@@ -432,7 +432,7 @@ def tick_of(packed: bytes) -> int:
 
 
 class _BridgeRun:
-    """Bridge run: its description, and the tick and stamp of its last row."""
+    """Bridge run: its description, and the tick and timestamp of its last row."""
 
     def __init__(self, robot: str, about: bytes) -> None:
         said = read_about(about)

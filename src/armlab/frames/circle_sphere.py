@@ -46,7 +46,7 @@ def fit_circle(
     noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
         estimated, and equal for all points.
     robust : detect points that do not belong to the circle; `outliers` marks them.
-    toward : (3,) point on the side of the normal [m].
+    toward : (3,) point on the side to which the normal points [m].
     normal : (3,) approximate normal.
 
     Returns

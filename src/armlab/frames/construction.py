@@ -81,7 +81,8 @@ def build(
         )
     if len(axes) != 2:
         raise ShapeError(
-            f"Expected exactly two of x, y and z, got {', '.join(axes) or 'none'}. The third axis follows."
+            "Expected exactly two of x, y and z, got "
+            f"{', '.join(axes) or 'none'}. The third axis follows from these two."
         )
     (i, first), (j, second) = ((LETTERS.index(name), _direction(item, name)) for name, item in axes.items())
     f, g = first[0], second[0]
@@ -255,7 +256,9 @@ def _intersection(first: Plane, second: Plane) -> Line:
     """Return the intersection line of two planes with its covariance."""
     along = np.cross(first.n, second.n)
     if np.linalg.norm(along) <= PARALLEL:
-        raise ShapeError("Expected intersecting planes, got parallel planes (within 1e-9 rad). Use the plane distance.")
+        raise ShapeError(
+            "Expected intersecting planes, got parallel planes (within 1e-9 rad). Use the distance between the planes."
+        )
     rows = np.stack([first.n, second.n, along / np.linalg.norm(along)])
     step = np.linalg.solve(rows, np.array([0.0, float(second.n @ (second.centroid - first.centroid)), 0.0]))
     point = first.centroid + step
@@ -267,7 +270,8 @@ def _intersection(first: Plane, second: Plane) -> Line:
 
 
 def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of the direction (3, m), and of a line's centroid (3, m) or a plane's offset (m,)."""
+    """Return the derivatives of the direction (3, m), and of a line's centroid (3, m) or a plane's offset (m,), with
+    respect to its errors."""
     if isinstance(item, Plane):
         return np.column_stack([np.cross(item.axes, item.n).T, np.zeros(3)]), np.array([0.0, 0.0, 1.0])
     tilts = np.cross(item.axes, item.v).T
@@ -275,7 +279,8 @@ def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _line(along: np.ndarray, point: np.ndarray, turn: np.ndarray, shift: np.ndarray, cov: np.ndarray | None) -> Line:
-    """Return a line; `turn` and `shift` (3, m) change its direction and point per error, with covariance (m, m)."""
+    """Return a line; `turn` and `shift` (3, m) are the derivatives of its direction and point with respect to errors
+    with covariance (m, m)."""
     plain = Line.of(along, point)
     if cov is None:
         return plain

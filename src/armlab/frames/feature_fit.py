@@ -73,7 +73,8 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return n or -n: on the side of the hint, or away from the origin; `reach` is the SD of the offset [m]."""
+    """Return n or -n, whichever points to the side of the hint or, without a hint, away from the origin; `reach` is the
+    SD of the offset [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Omit one of these arguments.")
     if normal is not None:
@@ -92,7 +93,8 @@ def upward(
             )
     if not abs(side) > least:
         raise ShapeError(
-            f"Expected a hint that determines the side of the {what}, got a hint within it. Pass a different point or "
+            f"Expected a hint that determines the side of the {what}, "
+            "got a hint on neither side. Pass a different point or "
             "normal."
         )
     return n if side > 0 else -n

@@ -103,7 +103,7 @@ class Line(Shown):
     v : (3,) unit direction.
     r : (3,) foot of the line [m], which is its point closest to the origin.
     centroid : (3,) centroid of the measured points [m], or the given point of a constructed line.
-    axes : (2, 3) unit vectors normal to the line; axis 1, axis 2 and v are right-handed.
+    axes : (2, 3) unit vectors normal to the line; axis 1, axis 2 and v form a right-handed triad.
     cov : (4, 4) covariance of the errors in `names`: tilt about each axis [rad], offset of the centroid along each axis
         [m]; None if the line is exact.
     """
@@ -123,8 +123,8 @@ class Line(Shown):
         off = np.linalg.norm(np.cross(v, c - r))
         if not off + abs(r @ v) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
             raise ShapeError(
-                f"Expected the foot of a line to be the point of the line closest to the origin, got {off:.2g} m off "
-                f"and {r @ v:.2g} m along it. Use Line.of for any direction and point."
+                f"Expected the foot of a line to be the point of the line closest to the origin, got a point "
+                f"{off:.2g} m off the line and {r @ v:.2g} m along it. Use Line.of for any direction and point."
             )
         _freeze(self, v=v, r=r, centroid=c, axes=_axes(self.axes, v), cov=inputs.covariance(self.cov, 4, "cov"))
 
@@ -244,7 +244,7 @@ def _radius(radius: object, what: str) -> float:
 
 
 def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
-    """Return two read-only unit vectors (2, 3) normal to the third."""
+    """Return two unit vectors (2, 3) as a read-only copy, after checking that they are normal to the third axis."""
     axes = np.array(axes, dtype=float)
     whole = np.vstack([axes, third]) if axes.shape == (2, 3) else np.zeros((3, 3))
     if not np.allclose(whole @ whole.T, np.eye(3), rtol=0.0, atol=inputs.UNIT):

@@ -120,7 +120,7 @@ def unit(v: ArrayLike, what: str) -> np.ndarray:
     off = abs(float(np.linalg.norm(array)) - 1.0)
     if off > UNIT:
         raise ShapeError(
-            f"Expected {what} to have length 1, got an error of {off:.2g}. Use of() for a vector of any length."
+            f"Expected {what} to have length 1, got a length error of {off:.2g}. Use of() for a vector of any length."
         )
     return array
 

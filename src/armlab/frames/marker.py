@@ -143,7 +143,7 @@ def _require_breadth(marker: np.ndarray) -> None:
     size = np.linalg.svd(marker - marker.mean(axis=0), compute_uv=False)
     if len(marker) < MIN_POINTS or not size[1] > LINE * size[0]:
         raise NotExcited(
-            f"Expected a marker with at least three non-collinear points, got {len(marker)} with a breadth of "
+            f"Expected a marker with at least three non-collinear points, got {len(marker)} points with a width of "
             f"{size[1] if len(size) > 1 else 0.0:.2g} m. Add a point away from the line through the other points.",
             ["rotation about the line of the points"],
             ["unobservable"],

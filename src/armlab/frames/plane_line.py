@@ -294,14 +294,15 @@ def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> 
 
 
 def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the distances (N, k), the root of their covariance (N, k, k), and the most likely points (N, 3)."""
+    """Return the distances (N, k), the Cholesky factor of their covariance (N, k, k), and the most likely points (N,
+    3)."""
     e, CD = away @ D.T, cov @ D.T
     S = D @ CD
     return e, np.linalg.cholesky(S), away - (CD @ np.linalg.solve(S, e[..., None]))[..., 0]
 
 
 def _whitened(e: np.ndarray, J: np.ndarray, root: np.ndarray) -> Measurement:
-    """Return distances (N, k) in standard deviations, so the descent evaluates its steps by the total cost."""
+    """Return distances (N, k) in standard deviations, so that the optimiser evaluates its steps by the total cost."""
     k, r = e.shape[1], np.linalg.solve(root, e[..., None])[..., 0]
     return Measurement(r, np.linalg.solve(root, J), np.eye(k), ("distance",) * k)
 

@@ -228,7 +228,8 @@ def spanning(edges: Sequence[Edge]) -> list[int]:
 
 
 def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
-    """Return the shortest path from a to b as pairs (index, 1 or, backwards, -1), or None if there is no path."""
+    """Return the shortest path from a to b as pairs (index, direction), with direction 1 forwards and -1 backwards;
+    None if there is no path."""
     came: dict[str, tuple[str, int, int]] = {a: (a, -1, 1)}
     waiting = deque([a])
     while waiting and b not in came:

@@ -1,10 +1,10 @@
 """Clocks of a log: uniform time of the rows, interpolation of lost rows, and delays of columns.
 
 Controllers sample at even intervals, but networks and loggers make timestamps uneven. The row clock is a monotone fit
-of timestamp against row number: piecewise linear through the median stamps of two-second blocks. A row is lost if all
-later stamps are delayed by a period; if a row is merely late, later rows are not delayed.
+of timestamp against row number: piecewise linear through the median timestamps of two-second blocks. A row is lost if
+all later timestamps are delayed by a period; if a row is merely late, later rows are not delayed.
 
-A column with delay T shows the motion at a time T earlier. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts
+A column with delay T lags the motion by T. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts
 of the column, with R_i the residual power of the regression for joint i. The weight w_i is the second derivative of log
 R_i divided by the variance of the first derivative. This variance is estimated from the scatter between blocks of half
 a second, so slow torque errors hardly affect the delay. The variance of the delay is the inverse of the weighted second
@@ -37,8 +37,8 @@ class Clock:
     """Time of the rows of one log.
 
     `t`: (N,) time of each row [s]. `index`: (N,) period number of each row. `period`: [s]. `jitter`: standard deviation
-    of the stamps [s]. `drift`: largest slow deviation of the stamps from uniform periods [s]. `retimed`: whether t
-    differs from the stamps.
+    of the timestamps [s]. `drift`: largest slow deviation of the timestamps from uniform periods [s]. `retimed`:
+    whether t differs from the timestamps.
     """
 
     t: np.ndarray
@@ -50,9 +50,10 @@ class Clock:
 
     @classmethod
     def of(cls, t: np.ndarray, q: np.ndarray | None = None, qd: np.ndarray | None = None) -> Clock:
-        """Return the clock of rows with stamps t (N,).
+        """Return the clock of rows with timestamps t (N,).
 
-        If position and velocity (N, n) agree better with the stamps than with a uniform clock, the stamps are kept.
+        If position and velocity (N, n) agree better with the timestamps than with a uniform clock, the timestamps are
+        kept.
         """
         period = _period(np.diff(t))
         index = np.arange(len(t)) + np.cumsum(_lost(t, period))
@@ -89,8 +90,9 @@ class Clock:
         said = []
         if self.retimed:
             said.append(
-                f"stamps jitter by {1e3 * self.jitter:.2g} ms and drift by {1e3 * self.drift:.2g} ms: rows are moved "
-                f"to a uniform clock of {1e3 * self.period:.4g} ms"
+                f"timestamps jitter by {1e3 * self.jitter:.2g} "
+                f"ms and drift by {1e3 * self.drift:.2g} "
+                f"ms: the rows are retimed to a uniform period of {1e3 * self.period:.4g} ms"
             )
         if self.lost:
             share = 100 * self.lost / (self.lost + len(self.t))
@@ -109,9 +111,10 @@ def _period(step: np.ndarray) -> float:
 
 
 def _lost(t: np.ndarray, period: float) -> np.ndarray:
-    """Return the number of missing rows before each row (N,), from the earliest rows around a gap.
+    """Return the number of missing rows before each row (N,), based on the least delayed rows before and after a gap.
 
-    Comparing equally many rows before and after eliminates jitter; a longer window identifies single late rows.
+    Comparing equal numbers of rows before and after the gap eliminates jitter; a longer window identifies single late
+    rows.
     """
     N, last = len(t), 0
     lead, lost = t / period - np.arange(N), np.zeros(N, dtype=int)
@@ -129,7 +132,7 @@ def _pieces(index: np.ndarray) -> list[int]:
 
 
 def _even(t: np.ndarray, index: np.ndarray, period: float) -> tuple[np.ndarray, float, float]:
-    """Return the uniform clock (N,) of stamps t (N,), its period, and the drift of the stamps."""
+    """Return the uniform clock (N,) of timestamps t (N,), its period, and the drift of the timestamps."""
     clock, drift, longest, found = np.empty(len(t)), 0.0, 0, period
     for a, b in pairwise(_pieces(index)):
         blocks = np.array_split(np.arange(a, b), min(b - a, max(1, round(float(t[b - 1] - t[a]) / BLOCK))))
@@ -145,7 +148,7 @@ def _even(t: np.ndarray, index: np.ndarray, period: float) -> tuple[np.ndarray, 
 
 
 def _agree(t: np.ndarray, clock: np.ndarray, q: np.ndarray, qd: np.ndarray) -> bool:
-    """Return whether the position steps match the stamps t (N,) better than the uniform clock (N,)."""
+    """Return whether the position steps match the timestamps t (N,) better than the uniform clock (N,)."""
     step, speed = np.diff(q, axis=0), 0.5 * (qd[1:] + qd[:-1])
     near = np.diff(clock) < 1.5 * np.median(np.diff(clock))
     left = [np.abs(step - speed * np.diff(x)[:, None])[near].mean(axis=0) for x in (t, clock)]
@@ -193,7 +196,7 @@ def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: flo
 
 
 def shifts_of(rate: float) -> tuple[int, int]:
-    """Return the first and the last shift of the search in rows."""
+    """Return the first and the last shift of the search, in rows."""
     return int(np.floor(EARLIEST * rate)), int(np.ceil(LATEST * rate))
 
 

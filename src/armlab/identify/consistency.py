@@ -148,8 +148,8 @@ def physically_consistent(
 def bodies_of(model: TorqueModel, robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
     """Return consistent links (n, 10) and rotors (n,) that reproduce a model's torques, and the remaining deviation.
 
-    Unidentifiable parameters follow the prior under ``B pi = base``. If that is infeasible, the nearest feasible base
-    parameters are used, and their distance from the model, in standard deviations, is returned.
+    Unidentifiable parameters are kept close to the prior, subject to ``B pi = base``. If that is infeasible, the
+    nearest feasible base parameters are used, and their distance from the model, in standard deviations, is returned.
     """
     model.check_robot(robot)
     if model.quasi_static:
@@ -225,7 +225,7 @@ def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
 
 
 def _information_root(fit: Fit[TorqueModel], base: BaseParameters) -> np.ndarray:
-    """Return R (p, p) with ``R^T R`` the information on the base parameters for fixed friction."""
+    """Return R (p, p) such that ``R^T R`` is the information matrix of the base parameters for fixed friction."""
     p, known = len(base.names), fit.excitation
     if tuple(fit.value.base_names) != base.names or fit.names[:p] != base.names:
         raise ConfigError(
@@ -313,7 +313,8 @@ def _solve(cvxpy: Any, problem: Any) -> None:
 
 
 def _at_least(P: np.ndarray, scale: np.ndarray, least: float) -> np.ndarray:
-    """Return the scaled pseudo-inertia (16,) with eigenvalues raised to at least `least`, against solver error."""
+    """Return the scaled pseudo-inertia (16,) with eigenvalues raised to at least `least`, to compensate for solver
+    errors."""
     values, vectors = np.linalg.eigh(P)
     back = np.linalg.inv(scale)
     return (back @ (vectors * np.maximum(values, least)) @ vectors.T @ back).ravel()

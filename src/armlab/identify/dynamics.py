@@ -6,17 +6,17 @@ Five stages, in this order:
 
 1. Record: the logs are validated and cut at gaps (`identify.record`).
 2. Regression: one zero-phase filter for torque and every regressor column, then decimation (`identify.regression`).
-   The torque is divided by torque gains, which differ from 1 by a few percent per joint. They are fitted before and
-   after stage 3.
-3. Friction structure: for each joint, the type and width of the friction sign, the Stribeck speed and the friction
-   terms are selected on held-out blocks with a fixed rigid part (`identify.friction_structure`).
+   The torque is divided by torque gains, which differ from 1 by a few percent per joint. The gains are fitted before
+   and after stage 3.
+3. Friction structure: for each joint, the type and width of the sign function of friction, the Stribeck speed and the
+   friction terms are selected on held-out blocks with a fixed rigid part (`identify.friction_structure`).
 4. Solution: all linear parameters are fitted by least squares within physical bounds, with joints weighted by 1 / their
    residual standard deviation. The covariance comes from a block bootstrap, because the formal covariance is far too
    small for coloured residuals. Friction drift and the uncertainty of the friction structure are added
    (`identify.solve`).
-5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
-   filter. The torque covariance over velocity is fitted to these residuals and scaled to 95.4 % coverage of 2 sigma
-   (`identify.validation`).
+5. Validation: models fitted without a fifth of the blocks provide held-out residuals, which pass through the
+   estimator's own causal filter. The velocity-dependent torque covariance is fitted to these residuals and scaled to
+   95.4 % coverage of 2 sigma (`identify.validation`).
 
 `fit_gravity` fits only gravity, friction and offsets from slow motion; `identify.many` runs the same stages over any
 number of logs.
@@ -108,14 +108,14 @@ def fit_dynamics(
         Called with (done, total, what).
     prior : Fit of TorqueModel, optional
         Earlier fit of the same robot: its values are kept along directions that the log does not excite, and the report
-        lists these directions. Without a prior, such logs raise an error.
+        lists these directions. Without a prior, logs that leave a direction unexcited raise an error.
     joints : sequence of int, optional
         Zero-based indices of the joints with measured torque; all joints may move. Default: all. Estimators ignore the
         other joints, and momentum methods are unavailable for such a model.
     cutoff : float, optional, Hz
         Cut-off of the low-pass filter for torque and regressor. Default: selected by cross-validation from a tenth of
-        the sampling rate (at most 25 Hz), 12 Hz and 6 Hz; the report states the reason. If it is below 10 Hz, the
-        model's own filter has the same cut-off.
+        the sampling rate (at most 25 Hz), 12 Hz and 6 Hz; the report states the reason. If the cut-off is below 10 Hz,
+        the model's own filter has the same cut-off.
     force : bool
         Fit implausible torques and report the reasons as doubts. By default, implausible torques raise an error.
 

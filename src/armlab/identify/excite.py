@@ -2,10 +2,11 @@
 
     q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
 
-(Swevers et al. 1997). A quintic window blends the motion in and out, so it starts and ends at rest. Seeded candidates
-are scaled to the limits. The candidate whose base regressor has the largest log determinant of the information matrix
-is selected (D-optimality, which is independent of the parameter units). Candidates that collide or exceed the motor
-torques are discarded; candidates with too little slow motion or too few reversals to identify friction are ranked last.
+(Swevers et al. 1997). A quintic window blends the motion in and out, so that the motion starts and ends at rest. Seeded
+candidates are scaled to the limits. The candidate whose base regressor has the largest log determinant of the
+information matrix is selected (D-optimality, which is independent of the parameter units). Candidates that collide or
+exceed the motor torques are discarded; candidates with too little slow motion or too few reversals to identify friction
+are ranked last.
 """
 
 from __future__ import annotations
@@ -102,8 +103,8 @@ class Trajectory(Shown):
     def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
         """Return a controller that moves from the current posture to the start, then runs the motion.
 
-        Its clock advances with the robot's clock, but by at most 6 ms per cycle, so the motion continues without a jump
-        after lost packets. It restarts in each session.
+        The controller's clock advances with the robot's clock, but by at most 6 ms per cycle, so the motion continues
+        without a jump after lost packets. The controller restarts the motion in each session.
 
         Parameters
         ----------
@@ -147,7 +148,10 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
     if not isinstance(parts, list | tuple) or not all(isinstance(part, Trajectory) for part in parts):
         raise ShapeError(f"Expected a list of motions, got {type(parts).__name__}. Use identify.design_excitation.")
     if not parts or not 0 < walk < np.inf:
-        raise ShapeError(f"Expected at least one motion and a walk above 0 s, got {len(parts)} and {walk:g} s.")
+        raise ShapeError(
+            f"Expected at least one motion and a connecting duration above 0 s, got {len(parts)} motions and "
+            f"{walk:g} s."
+        )
     starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
     total = float(starts[-1] + parts[-1].seconds)
 
@@ -208,7 +212,7 @@ def design_excitation(
     harmonics : number of harmonics.
     speed : peak speed as a fraction of the robot's limits, in (0, 1].
     acceleration : peak acceleration [rad/s^2].
-    centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from the limits. Default: the
+    centre : (n,) centre of the motion, inside the limits; it is moved to at least 0.1 rad from the limits. Default: the
         robot's home, moved away from the limits until every joint has 70 degrees on both sides (or half its range, if
         that is smaller).
     seed : seed of the candidates.
@@ -234,7 +238,7 @@ def design_excitation(
     waves, tries = number(harmonics, "harmonics"), number(rounds, "rounds")
     if not 0 < speed <= 1 or not 10 <= seconds < np.inf:
         raise ShapeError(
-            f"Expected a speed share in (0, 1] and at least 10 seconds, got {speed:g} and {seconds:g} s. "
+            f"Expected a speed fraction in (0, 1] and at least 10 seconds, got {speed:g} and {seconds:g} s. "
             "Shorter motions do not excite friction at all speeds."
         )
     counts = 1 <= waves < np.inf and 0 <= tries < np.inf and waves % 1 == tries % 1 == 0
@@ -342,7 +346,8 @@ def dither(
 
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:
-    """Return a centre (n,) moved at least two margins away from the limits; raise an error if it is outside them."""
+    """Return a centre (n,) moved to at least two margins from the limits; raise an error if the given centre is outside
+    the limits."""
     given = np.array(numbers(centre, "the centre", ShapeError))
     if given.shape != (robot.n,) or not np.all((given >= robot.q_min) & (given <= robot.q_max)):
         raise ShapeError(
@@ -468,7 +473,7 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
 
     Speeds are logarithmically spaced from 0.005 rad/s to 80 % of the limit. Each run has constant speed over ten ripple
     periods ``2 pi / (2 gear)`` and over at least 0.3 rad (50 mm). The joint rests for 2 s between runs. The fifth speed
-    is repeated at the end: a different friction there indicates warm-up.
+    is repeated at the end: if the friction differs, the joint has warmed up.
 
     Parameters
     ----------
@@ -479,7 +484,7 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
 
     Returns
     -------
-    Trajectory that starts and ends at rest; sample it, run it with its controller, or save its table.
+    Trajectory that starts and ends at rest; it can be sampled, run with its controller, or saved as a table.
 
     Raises
     ------
@@ -488,7 +493,7 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
 
     References
     ----------
-    Bagge Carlson, Robertsson and Johansson, IROS 2015 (friction over position and speed).
+    Bagge Carlson, Robertsson and Johansson, IROS 2015 (friction as a function of position and speed).
     """
     i = _number(robot, joint)
     pose = np.array(robot.q_home if at is None else at, dtype=float)
@@ -538,7 +543,7 @@ def _speeds(robot: Robot, i: int) -> tuple[np.ndarray, float]:
     if not SLOWEST < top < np.inf or not 0 < robot.qdd_max[i] < np.inf:
         raise ShapeError(
             f"Expected speed and acceleration limits for {name}, got {robot.qd_max[i]:g} and {robot.qdd_max[i]:g}. "
-            "Add them to the robot file."
+            "Add these limits to the robot file."
         )
     gear = abs(1.0 / robot.coupling[i, i])
     least = SLIDE if robot.prismatic[i] else STROKE
@@ -556,12 +561,14 @@ def _speeds(robot: Robot, i: int) -> tuple[np.ndarray, float]:
 
 
 def _largest(ways: float, acceleration: float) -> float:
-    """Return the highest speed that a joint can reach and stop from within `ways`, or 0 if there is no room."""
+    """Return the highest speed that a joint can reach and then stop from within the distance `ways`, or 0 if there is
+    no room."""
     return max(0.0, min(ways / SHORTEST, np.sqrt(max(ways, 0.0) * acceleration / STEEPEST)))
 
 
 def _phases(speeds: list[float], stroke: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the time boundaries (k + 1,) and rows (3, k): speeds at start and end, and start position about 0."""
+    """Return the time boundaries (k + 1,) of the phases, and rows (3, k): start speed, end speed, and start position in
+    a motion centred about 0."""
     parts: list[tuple[float, float, float]] = []
     for v in speeds:
         ramp = max(SHORTEST, STEEPEST * v / acceleration)
@@ -650,7 +657,8 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
         raise RobotError.no_robot(robot)
     if not isinstance(trajectory, Trajectory):
         raise ShapeError(
-            f"Expected a Trajectory, got {type(trajectory).__name__}. Create one with identify.design_excitation."
+            f"Expected a Trajectory, got {type(trajectory).__name__}. "
+            "Create a trajectory with identify.design_excitation."
         )
     n, noise = robot.n, number(noise, "the torque noise [N m]")
     if not 0 < noise < np.inf or trajectory.q_first.shape != (n,):

@@ -3,7 +3,7 @@
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
           [+ load s |x|]
 
-s is the presliding state z with distance delta, or tanh(qd / v_t); x is the torque transmitted to the links.
+s is the presliding state z with presliding distance delta, or tanh(qd / v_t); x is the torque transmitted to the links.
 Terms in brackets are included only if selected; asymmetry is reported as two Coulomb torques, one per direction.
 """
 
@@ -29,9 +29,9 @@ SHAPED = (*SIGNED, "stribeck")
 
 @dataclass(frozen=True, eq=False)
 class FrictionColumns:
-    """Friction columns of J joints, computed from their motion.
+    """Friction regressor columns of J joints, computed from the joint motion.
 
-    `decimation`: filter of the record and its (M,) kept rows. `q`, `qd`: (N, J) positions and velocities.
+    `decimation`: decimation filter of the record, which keeps M rows. `q`, `qd`: (N, J) positions and velocities.
     `resolution`: (J,) half the smallest encoder step [rad]. `load`: (N, J) torque |x| transmitted to the links.
     """
 
@@ -47,7 +47,7 @@ class FrictionColumns:
         return FrictionColumns(self.decimation, q, qd, self.resolution[one], self.load[:, one])
 
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-        """Return s (N, J) along the record for `delta` and `smooth` (J,) as in `FrictionStructure`."""
+        """Return the friction sign s (N, J) along the record for `delta`, `smooth` (J,) as in `FrictionStructure`."""
         soft = smooth > 0
         z = np.empty(self.q.shape)
         if not soft.all():
@@ -58,7 +58,7 @@ class FrictionColumns:
         return z
 
     def columns(self, s: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 4 + S) of a sign s (N, J): SIGNED, then Stribeck for each of S speeds (S, J)."""
+        """Return the columns (M, J, 4 + S) for a friction sign s (N, J): SIGNED, then Stribeck at S speeds (S, J)."""
         made_of = [FRICTION_TERMS[name].column for name in SIGNED]
 
         def made(a: int, b: int) -> np.ndarray:
@@ -91,9 +91,9 @@ TERMS = np.array(sorted(product([False, True], repeat=4), key=lambda terms: (sum
 
 @dataclass(frozen=True, eq=False)
 class FrictionStructure:
-    """Friction structure of all joints; vectors are (n,).
+    """Friction structure of all joints; vectors have shape (n,).
 
-    `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 if the sign is the presliding state. `speed`: v_s of
+    `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], or 0 if s is the presliding state. `speed`: v_s of
     the Stribeck term [rad/s]. `terms`: (n, 4) bool: asymmetry, Stribeck, root, load.
     """
 
@@ -104,7 +104,7 @@ class FrictionStructure:
 
     @classmethod
     def start(cls, n: int) -> FrictionStructure:
-        """Return a structure with presliding over 1e-3 rad and all terms except root and load, for n joints."""
+        """Return a structure with a presliding distance of 1e-3 rad and all terms but root and load, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False, False], (n, 1)))
 
     @classmethod
@@ -118,12 +118,12 @@ class FrictionStructure:
 
     @property
     def numbers(self) -> np.ndarray:
-        """Nonlinear parameters (n, 2): delta or v_t, depending on the sign, and v_s."""
+        """Nonlinear parameters (n, 2): delta or v_t, depending on the type of sign, and v_s."""
         return np.stack([np.where(self.smooth > 0, self.smooth, self.delta), self.speed], axis=1)
 
     @property
     def names(self) -> list[tuple[str, str]]:
-        """Names of `numbers`, for each joint."""
+        """Names of the parameters in `numbers`, for each joint."""
         return [("tanh-speed" if soft else "delta", "stribeck-speed") for soft in self.smooth > 0]
 
     def moved(self, steps: np.ndarray) -> FrictionStructure:
@@ -137,14 +137,14 @@ class FrictionStructure:
         )
 
     def same(self, other: FrictionStructure) -> bool:
-        """Return whether the other structure has the same terms and parameters within 10 %."""
+        """Return whether the other structure has the same terms, with parameters that agree within 10 %."""
         kinds = np.array_equal(self.terms, other.terms) and np.array_equal(self.smooth > 0, other.smooth > 0)
         mine, others = (np.stack([s.delta, s.smooth, s.speed]) for s in (self, other))
         return bool(kinds and np.allclose(mine, others, rtol=0.1))
 
 
 def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
-    """Return the column names of a joint with these terms (4,); `ripple` with known gears."""
+    """Return the names of a joint's columns for the given terms (4,), with ripple columns if `ripple` is true."""
     asymmetric, stribeck, root, load = terms
     present = {"coulomb-": asymmetric, "stribeck": stribeck, "root": root, "load": load}
     one = {} if asymmetric else {"coulomb+": "coulomb"}  # for both directions
@@ -153,7 +153,7 @@ def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
-    """Return the matrix (width, k) that maps all columns of a joint to those of its terms (4,)."""
+    """Return the matrix (width, k) that maps all columns of a joint to the columns of the given terms (4,)."""
     fields = [{*FRICTION_TERMS[name].fields} for name in term_names(terms, ripple=False)]
     own = [[{*FRICTION_TERMS[column].fields} <= of for of in fields] for column in FRICTION]
     rest = width - len(FRICTION)
@@ -163,11 +163,11 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class StructureChoice:
-    """Data for the selection of one joint's friction structure; picklable for a worker.
+    """Data for the selection of one joint's friction structure; can be pickled for a worker process.
 
-    `fixed`: (M, 2 or more) columns that do not depend on the structure: viscous, offset and others. `target`: (M,)
-    torque to be explained by friction. `fold`: (M,) fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the
-    rows; 0 excludes a row. `start`: initial structure, used instead of the grid.
+    `fixed`: (M, 2 or more) columns that do not depend on the structure: viscous friction, offset and others. `target`:
+    (M,) torque to be explained by friction. `fold`: (M,) fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the
+    rows; 0 excludes a row. `start`: initial structure, which replaces the grid search.
     """
 
     motion: FrictionColumns
@@ -179,7 +179,7 @@ class StructureChoice:
 
 
 class _StructureSearch:
-    """Held-out errors of successive structures of one joint."""
+    """Held-out errors of the friction structures tried for one joint."""
 
     def __init__(self, choice: StructureChoice) -> None:
         self.motion = choice.motion
@@ -207,9 +207,9 @@ class _StructureSearch:
 
 
 def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return the squared error (S, k) of each fold for parameters fitted to the other folds, relative to the torque.
+    """Return the squared prediction error (S, k) relative to the torque, with each fold predicted from the other folds.
 
-    `sums`: A^T A, A^T y and y^T y for each of F folds. `picks`: (S, w) columns of A for each Stribeck speed.
+    `sums`: A^T A, A^T y and y^T y for each of F folds. `picks`: (S, w) column indices of A for each Stribeck speed.
     """
     grams, moments, power = (np.array(part) for part in zip(*sums))
     H = np.ascontiguousarray(grams[:, picks[:, :, None], picks[:, None, :]])[:, :, None]  # (F, S, 1, w, w)
@@ -226,7 +226,7 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
 
 @cache
 def _mixings(width: int) -> np.ndarray:
-    """Return `mixing` of all TERMS (16, width, width); absent columns and their parameters are zero."""
+    """Return the matrices `mixing` (16, width, width) of all TERMS, padded with zeros for absent columns."""
     T = np.zeros((len(TERMS), width, width))
     for k, terms in enumerate(TERMS):
         mixed = mixing(terms, width)
@@ -247,7 +247,7 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def choose(choice: StructureChoice) -> FrictionStructure:
-    """Select one joint's structure by cross-validation: the simplest within 1 % of the best, refined."""
+    """Select one joint's structure by cross-validation: refine the simplest structure within 1 % of the best."""
     search, motion = _StructureSearch(choice), choice.motion
     structure = _of_grid(search) if choice.start is None else choice.start
     errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
@@ -294,7 +294,7 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
 def _refine(
     search: _StructureSearch, structure: FrictionStructure, best: float, factors: tuple[float, ...]
 ) -> FrictionStructure:
-    """Try factors on the sign parameter and the Stribeck speed; keep those that reduce the held-out error."""
+    """Scale the sign parameter and Stribeck speed by trial factors; keep those that reduce the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
     for step in (sign * np.log(factor) for factor in factors for sign in (1.0, -1.0)):
@@ -307,5 +307,5 @@ def _refine(
 
 
 def _columns(motion: FrictionColumns, structure: FrictionStructure) -> np.ndarray:
-    """Return the columns (M, J, 5) of a structure of these joints."""
+    """Return the columns (M, J, 5) for a friction structure of these joints."""
     return motion.columns(motion.sign(structure.delta, structure.smooth), structure.speed[None])

@@ -1,9 +1,10 @@
-"""One model from any number of logs: a draft fitted to the first minutes, sums per log, and a fit to all sums.
+"""Fit of one model to any number of logs: a draft of the first minutes, sums for each log, and a fit to all sums.
 
-1. `fit_draft` fits the first few minutes like `fit_dynamics`. This determines the nonlinear parameters.
+1. `fit_draft` fits the first few minutes like `fit_dynamics`. This fit determines the nonlinear parameters.
 2. `log_sums` reduces one log to triangular factors of its rows, weighted according to their residuals from the draft.
    Logs are independent of each other, so their sums can be computed anywhere, in any order, and cached.
-3. `fit_sums` adds the sums in log order and solves; the result is bit-identical wherever the sums were computed.
+3. `fit_sums` adds the sums in log order and solves the least-squares problem; the result is bit-identical regardless of
+   where the sums were computed.
 
 A single reweighting step from a robust draft is as efficient as several (Bickel 1975, One-step Huber estimates).
 """
@@ -40,7 +41,7 @@ BIN = 1e-9  # relative margin on the block length
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Properties of the draft that determine the sums of a log; sent to workers.
+    """Parts of the draft that are needed to compute the sums of a log; sent to workers.
 
     `free`: (J, 2) bool, nonlinear parameters with a Jacobian column. `lines`: ripple lines, the same for all logs.
     `gains`: (J,) torque gains. `theta`, `x`: draft parameters without and with nonlinear steps. `limit`: (J,) residual
@@ -92,7 +93,7 @@ class Pattern:
 
 @dataclass(frozen=True, eq=False)
 class LogSums:
-    """Sums of one log.
+    """Least-squares sums of one log.
 
     `weight`: sum of the row weights. `inside`: number of rows with weight 1.
     """
@@ -139,14 +140,14 @@ def fit_draft(
 
 @one_thread()
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
-    """Reduce one log to sums; joints may rest in this log."""
+    """Reduce one log to least-squares sums; joints may be at rest throughout the log."""
     data = prepare_share(table, pattern.robot)
     spikes = torque_outliers(data)
     if spikes.any():
         data = replace(data, tau=without_outliers(data, spikes, pattern.model))
     if not same_rate(data.rate, pattern.rate):
         raise ShapeError(
-            f"Expected the sampling rate of the first logs, {pattern.rate:.4g} Hz, got {data.rate:.4g} Hz. "
+            f"Expected the same sampling rate as in the first logs, {pattern.rate:.4g} Hz, got {data.rate:.4g} Hz. "
             "Resample the log."
         )
     design = pattern.design(data)
@@ -187,7 +188,7 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
 
 
 def same_rate(one: float, other: float) -> bool:
-    """Return whether one filter is suitable for two sampling rates [Hz]."""
+    """Return whether two sampling rates [Hz] are close enough to share one filter."""
     return 1.0 / SAME_RATE < one / other < SAME_RATE
 
 
@@ -229,7 +230,7 @@ def _blocks_of_draft(data: Record, count: int, sums: Sequence[LogSums], first: S
 
 
 def _trained(parts: Sequence[Training], n: np.ndarray) -> Training:
-    """Return the ranges of all logs; shares are averaged over their samples, using the speed bins of the draft."""
+    """Combine the training ranges of all logs; shares are averaged over all samples, in the speed bins of the draft."""
     share = n / n.sum()
     return Training(
         q_min=np.min([one.q_min for one in parts], axis=0),

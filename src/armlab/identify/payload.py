@@ -3,9 +3,9 @@
     tau - tau_model = (1 + g_i) Y_i(q, qd, qdd) pi + e_i,      g_i ~ N(0, 5 %)
 
 Y contains the columns of the last link, moved to the flange, including load friction. pi contains the mass, the first
-moment and, in mode "dynamic", the inertia. Huber's least squares for pi alone gives the weights of rows and joints;
-Gauss-Newton steps then give pi and the gains g_i. Both steps run twice, because weights computed without gains treat
-gain errors as outliers. Theory: docs/theory/payload.md.
+moment and, in mode "dynamic", the inertia. A Huber fit of pi alone determines the weights of rows and joints;
+Gauss-Newton steps then estimate pi and the gains g_i. Both steps run twice, because weights computed without gains
+treat gain errors as outliers. Theory: docs/theory/payload.md.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ RIPPLE: dict[str, Callable[..., np.ndarray]] = {"ripple cos": np.cos, "ripple si
 class ModelError:
     """Uncertain parameters of a model.
 
-    `base`: base parameters, or None for a model of only some joints. `cov`: (P, P) covariance of the parameters.
+    `base`: base parameters, or None if the model covers only some joints. `cov`: (P, P) covariance of the parameters.
     """
 
     model: TorqueModel
@@ -68,7 +68,7 @@ class ModelError:
         return cls(model, robot, base, tuple(names[k] for k in index), cov[np.ix_(index, index)], left_out)
 
     def against(self, A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Return the sums (J, w, P) of A_i^T C_i per joint, which give the response of the columns to model errors."""
+        """Return the sums (J, w, P) of A_i^T C_i per joint, which determine how model errors affect the columns."""
         total = np.zeros((len(joints), A.shape[2], len(self.names)))
         at = {name: k for k, name in enumerate(self.names)}
         if self.base is not None:
@@ -82,7 +82,7 @@ class ModelError:
         return total
 
     def _own(self, data: Record, wanted: set[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-        """Yield the names (n,) of one term for all joints, and the torque derivative (N, n)."""
+        """Yield, for each term, its parameter names (n,) and the derivative (N, n) of the torque with respect to it."""
         friction, ripple = self.model.friction, self.model.ripple
         for term, names in _own_names(self.robot, self.base).items():
             if wanted.isdisjoint(names):
@@ -106,7 +106,7 @@ class ModelError:
 
 
 def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
-    """Return the covariance of a fit without the common gain error, for which its parameters compensate."""
+    """Return the covariance of a fit without the common gain error, which the parameter scale absorbs."""
     gain_cov = fit.value.gain_cov
     measured = np.flatnonzero(np.diag(gain_cov) > 0)
     if not len(measured):
@@ -119,7 +119,7 @@ def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
 
 
 def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str, ...]]:
-    """Return the names (n,) of each joint-specific term."""
+    """Return the parameter names (n,) of each joint-specific term."""
     names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FRICTION_TERMS, *RIPPLE)}
     return names if base is None else {**names, "offset": tuple(base.offset_names)}
 
@@ -136,7 +136,7 @@ def _friction(friction: Friction, data: Record) -> np.ndarray:
 def _rigid(
     A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray, robot: Robot, base: BaseParameters
 ) -> np.ndarray:
-    """Return the sums (J, w, p) for the base-parameter columns."""
+    """Return the sums (J, w, p) of A_i^T C_i for the columns of the base parameters."""
     n, moves = robot.n, 0.0 if base.quasi_static else 1.0
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     total = np.zeros((len(joints), A.shape[2], len(base.names)))
@@ -160,7 +160,7 @@ class LoadRecord:
     `rows`: (M,) kept rows. `joints`: (j,) moving joints; the others are excluded because friction at rest is unknown.
     `A`: (M, j, 10) filtered columns of the load at the flange. `y`: (M, j) filtered residual of the model [N m].
     `against`: (j, 10, P) sums of A_i^T C_i per joint, with C the derivatives of the joint torque with respect to the
-    model parameters; they give the response of the load to model errors. `sources`: name and SHA-256 of each log.
+    model parameters; they determine how model errors affect the load. `sources`: name and SHA-256 of each log.
     """
 
     data: Record
@@ -209,7 +209,7 @@ class LoadRecord:
 
 
 def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
-    """Return the indices of joints that move enough for their friction to be known; all joints if none does."""
+    """Return the indices of joints that move enough for their friction to be known; all joints if none moves enough."""
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
         return np.arange(robot.n)  # `prepare` raises
     ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])
@@ -219,7 +219,7 @@ def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
 
 
 def _at_flange(data: Record, robot: Robot) -> np.ndarray:
-    """Return the torque columns (N, n, 10) of a load at the flange, unfiltered."""
+    """Return the unfiltered torque columns (N, n, 10) for a load at the flange."""
     moved = inertia.transform(robot.links[-1], np.eye(10)).T
     qdd = data.differentiate(data.qd)
     parts = [slice(a, a + CHUNK) for a in range(0, len(data.t), CHUNK)]
@@ -228,7 +228,7 @@ def _at_flange(data: Record, robot: Robot) -> np.ndarray:
 
 
 def _shift(data: Record, other: Record) -> int:
-    """Return the shift [rows] with data.q[i] = other.q[i - shift]; raise an error if the motions differ."""
+    """Return the shift [rows] for which data.q[i] = other.q[i - shift]; raise an error if the motions differ."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
             f"Expected one log with the load and one without, at equal rates and without gaps, got "
@@ -293,7 +293,7 @@ def fit_payload(
     Raises
     ------
     ModelMismatchError
-        A model of another robot.
+        The model belongs to another robot.
     UnknownName
         Unknown mode.
     NotExcited
@@ -351,7 +351,7 @@ def fit_payload(
 
 
 def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, seconds: float) -> LinearSolution:
-    """Return Huber's solution for the first p parameters; gains minus 1 (n,) and other parameters (10,) are fixed."""
+    """Return the Huber estimate of the first p parameters for fixed gains minus 1 (n,) and other parameters (10,)."""
     block = record.blocks(seconds)
     check_blocks(block[-1] + 1, seconds, record.data)
     A = (1.0 + gains)[:, None] * record.A
@@ -360,7 +360,7 @@ def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, sec
 
 
 def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
-    """Return the largest accepted standard deviations (10,): loads that would double the largest torque of the log."""
+    """Return the largest accepted standard deviations (10,): loads that double the largest torque in the log."""
     torque, gravity = np.sqrt(np.mean(record.data.tau[:, record.joints] ** 2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])
@@ -372,14 +372,14 @@ def _left(record: LoadRecord, found: LinearSolution, gains: np.ndarray, rest: np
 
 
 def _point(theta: np.ndarray) -> np.ndarray:
-    """Return the ten parameters of a point with mass and first moment `theta` (4,)."""
+    """Return the ten parameters of a point mass with the mass and first moment `theta` (4,)."""
     if not theta[0] > 0:
         return np.concatenate([theta[:4], np.zeros(6)])
     return inertia.from_body(theta[0], theta[1:4] / theta[0], np.zeros((3, 3)))
 
 
 def _possible(theta: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """Return the nearest parameters (in the metric of `cov`) with ``m >= 0, |m c| <= 0.5 m``; m = 0 at the apex."""
+    """Return the nearest parameters (in the metric of `cov`) in the cone ``m >= 0, |m c| <= 0.5 m`` (apex m = 0)."""
     m, h = theta[0], theta[1:4]
     if m >= 0 and np.linalg.norm(h) <= FARTHEST * m:
         return theta
@@ -433,7 +433,7 @@ def _unknown(error: ModelError, fitted: bool) -> list[str]:
 
 
 def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return a sentence on the share of the arm model's residual explained by the load, and a doubt if it is small."""
+    """Return a sentence on the share of the arm model's residual explained by the load; add a doubt if it is small."""
     power = np.mean(record.y**2, axis=0)
     share = 1.0 - np.mean(residuals**2) / np.mean(power)
     left = f"{np.sqrt(np.mean(power)):.3g} N m RMS"
@@ -445,7 +445,7 @@ def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple
     return said, (
         f"the residual of {robot.joint_names[record.joints[worst]]} is {more[worst]:.1f} times as large as without a "
         f"load, and the load explains only {100 * share:.0f} % of the total: "
-        "there may be a load elsewhere or a contact in the log",
+        "the arm may carry a load elsewhere, or the log may contain a contact",
     )
 
 

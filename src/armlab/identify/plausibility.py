@@ -33,13 +33,13 @@ def check_signs(survey: Survey, used: np.ndarray) -> list[str]:
     if not found:
         return []
     return [
-        f"joint{'s' * (len(found) > 1)} {', '.join(found)}: the sign is reversed; otherwise, friction would drive "
-        "the motion"
+        f"joint{'s' * (len(found) > 1)} {', '.join(found)}: the torque sign "
+        "is probably reversed, because friction appears to drive the motion"
     ]
 
 
 def _gives_power(survey: Survey, i: int) -> bool:
-    """Return whether the friction of joint i significantly drives the joint."""
+    """Return whether the friction of joint i drives the joint with statistical significance."""
     F, y, qd = survey.friction(i), survey.tau[survey.rows, i], survey.qd[:, i]
     slope, sd = _slope(F, y, survey.columns(i), F.T @ qd / max(float(np.abs(qd).sum()), 1e-12))
     return slope < -max(CERTAIN * sd, SMALL * float(np.std(y)))
@@ -89,7 +89,7 @@ def loose_gains(design: Design, method: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_factors(factors: np.ndarray, sd: np.ndarray, robot: Robot, masses: bool) -> tuple[list[str], bool]:
-    """Return sentences about wrong factors (n,), and whether these are errors rather than doubts."""
+    """Return sentences about implausible torque factors (n,), and whether they are errors rather than doubts."""
     known = np.isfinite(factors) & (sd < KNOWN * np.abs(factors))
     if not known.any():
         return [], False
@@ -109,7 +109,7 @@ def check_factors(factors: np.ndarray, sd: np.ndarray, robot: Robot, masses: boo
 
 
 def _named(i: int | np.intp, own: float, robot: Robot, what: str) -> str:
-    """Return a sentence about joint i, whose torque is `own` times the expected one."""
+    """Return a sentence about joint i, whose torque is `own` times the expected torque."""
     for factor, word in ((0.5, "half"), (2.0, "double")):
         if abs(np.log(abs(own) / factor)) < 0.15 and own > 0:
             return f"joint {i + 1} reads {word} the torque that {what}"
@@ -126,14 +126,14 @@ def _unit(factor: float, robot: Robot, joints: np.ndarray) -> str:
         return f"possibly motor torques, gear ratio {gear:g}? Use robots.couplings.motor_torque_to_joint"
     if factor < 1.0 / REFUSED:
         return "currents in ampere?"
-    return "possibly a load, other masses or another unit"
+    return "possibly a load, different masses or a different unit"
 
 
 def raise_unless(force: bool, said: list[str], fault: bool) -> tuple[str, ...]:
     """Return doubts; for errors, raise an exception unless forced."""
     if fault and not force:
         raise ShapeError(
-            f"Expected torque on the joint side in N m, got: {'; '.join(said)}. Correct the columns or the masses in "
+            f"Expected joint-side torques in N m, got: {'; '.join(said)}. Correct the columns or the masses in "
             "the robot file; --force (force=True) fits them unchanged."
         )
     return tuple(said)
@@ -150,6 +150,6 @@ def check_torques(data: Record, robot: Robot, used: np.ndarray, force: bool) -> 
 
 
 def check_gains(design: Design, method: str, force: bool) -> tuple[str, ...]:
-    """Return doubts about the relative gains of the joints; raise an error for factors above three."""
+    """Return doubts about the relative gains of the joints; raise an error for deviations above a factor of three."""
     said, fault = check_factors(*loose_gains(design, method), design.robot, masses=False)
     return raise_unless(force, said, fault)

@@ -64,7 +64,7 @@ class Extrapolation(Shown):
     warnings: tuple[str, ...]
 
     def text(self) -> str:
-        """Return a table with one row per joint, a line on standstill, and the warnings."""
+        """Return a table with one row per joint, a line about standstill, and the warnings."""
         width = max(map(len, self.joint_names))
         lines = [f"{'joint':>{width}}  position outside  untrained speed"]
         for name, outside, unseen in zip(self.joint_names, self.outside, self.unseen_speed):
@@ -80,7 +80,7 @@ def extrapolation(model: TorqueModel | Fit[TorqueModel], table: Table) -> Extrap
     """Compare a log with the training data of `model`.
 
     Warns about joints with more than 5 % of the samples outside the trained positions or speeds. Also warns if the
-    share of standstill is three times that of the training data and the longest standstill is twice as long.
+    share of standstill is more than three times, and the longest standstill more than twice, that of the training data.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def extrapolation(model: TorqueModel | Fit[TorqueModel], table: Table) -> Extrap
             f"Expected q and qd of {model.n} joints in at least two rows, got {q.shape} and {qd.shape}. "
             "Pass a log of the model's robot."
         )
-    advice = "Drop them with table.dropna; computing qd requires 100 rows without a gap."
+    advice = "Drop these rows with table.dropna; computing qd requires 100 rows without a gap."
     check_finite("q and qd", q, qd, advice=advice)
     margin = BESIDE * (known.q_max - known.q_min)
     outside = np.mean((q < known.q_min - margin) | (q > known.q_max + margin), axis=0)
@@ -129,8 +129,9 @@ def _warnings(
     if rest[0] > MORE * known.rest_share and rest[1] > LONGER * known.longest_rest:
         found.append(
             f"Expected as little standstill as in training ({100 * known.rest_share:.0f} %, longest "
-            f"{known.longest_rest:.2f} s), got {100 * rest[0]:.0f} %, longest {rest[1]:.2f} s: at rest, friction is "
-            "only bounded. Assess the model only in motion, or include standstill in the training data."
+            f"{known.longest_rest:.2f} s), got {100 * rest[0]:.0f} %, longest "
+            f"{rest[1]:.2f} s: at rest, only the bounds of friction are known. Assess "
+            "the model only in motion, or include standstill in the training data."
         )
     return tuple(found)
 

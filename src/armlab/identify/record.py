@@ -111,7 +111,7 @@ class Record:
 
 
 def check_blocks(count: int, seconds: float, data: Record) -> None:
-    """Raise an error for fewer than eight independent blocks, too few to estimate the covariance from scatter."""
+    """Raise an error for fewer than eight independent blocks, too few to estimate the covariance from their scatter."""
     if count < MIN_BLOCKS:
         raise NotExcited(
             f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for the covariance, got {count}. Record longer.",
@@ -144,7 +144,7 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
 
 
 def prepare_share(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
-    """Validate and cut logs as `prepare` does; joints may rest if other logs move them or a prior covers them."""
+    """Validate and cut logs as `prepare` does; joints may be at rest if other logs or a prior cover them."""
     used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
     return _checked(_tables(table), robot, used, np.zeros_like(used))
 
@@ -155,7 +155,7 @@ def resting(q: np.ndarray, prismatic: np.ndarray) -> np.ndarray:
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
-    """Return the record of logs; joints in `moving` (n,) must move, joints in `used` (n,) need a valid torque."""
+    """Combine logs into a record; joints in `moving` (n,) must move, joints in `used` (n,) need a valid torque."""
     prepared = _joined(tables, robot)
     check_position(prepared.q, robot)
     moved = ~resting(prepared.q, robot.prismatic)
@@ -174,7 +174,7 @@ def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.nda
 
 
 def _joined(tables: list[Table], robot: Robot) -> Record:
-    """Return the segments of several logs as one record, each on the clock of its rows."""
+    """Combine the segments of several logs into one record, with times from each log's repaired clock."""
     parts = [_segments(one, robot) for one in tables]
     rate = _common_rate([1.0 / part.clock.period for part in parts])
     pieces = [(part, a, b) for part in parts for a, b in part.segments]
@@ -213,7 +213,8 @@ def check_once(logs: Iterable[tuple[str, str]]) -> None:
     for name, sha256 in logs:
         if sha256 in known:
             raise ShapeError(
-                f"Expected distinct logs, but {name} repeats the rows of {known[sha256]}. Remove one of them, because "
+                f"Expected distinct logs, but {name} repeats the rows "
+                f"of {known[sha256]}. Remove the repeated log, because "
                 "repeated rows would reduce the reported uncertainty without new information."
             )
         known[sha256] = name
@@ -252,7 +253,7 @@ def with_velocity(table: Table) -> Table:
 
 
 def _corner(q: np.ndarray, rate: float) -> float:
-    """Return the cut-off [Hz] of the low-pass before the derivative."""
+    """Return the cut-off [Hz] of the low-pass filter that precedes differentiation."""
     speed = np.diff(q, axis=0) * np.hanning(len(q) - 1)[:, None]
     power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
@@ -308,7 +309,7 @@ def _segments(table: Table, robot: Robot) -> _Part:
         if values.shape != wanted:
             raise ShapeError(
                 f"Expected {name} of shape {wanted} for robot {robot.name!r}, got {values.shape}. "
-                "Pass the recorded robot."
+                "Pass the robot that was recorded."
             )
     t = np.asarray(table.t, dtype=float)
     present = np.any(~np.isnan(np.concatenate(columns, axis=1)), axis=1)
@@ -336,7 +337,7 @@ def _segments(table: Table, robot: Robot) -> _Part:
 def check_finite(
     what: str,
     *columns: np.ndarray,
-    advice: str = "Drop them with table.dropna. If torques are missing, record with the research extension; a "
+    advice: str = "Drop these rows with table.dropna. If torques are missing, record with the research extension; a "
     "simulated arm sends torques if its description has masses.",
 ) -> None:
     """Raise an error for missing values in columns (N, n), listing the rows."""
@@ -352,7 +353,7 @@ def _common_rate(rates: list[float]) -> float:
     if max(rates) > 1.1 * min(rates):
         listed = ", ".join(f"{rate:.4g} Hz" for rate in rates)
         raise ShapeError(
-            f"Expected logs with equal sampling rates, got {listed}. Resample them to the slowest rate first."
+            f"Expected logs with equal sampling rates, got {listed}. Resample the logs to the slowest rate first."
         )
     return float(np.median(rates))
 
@@ -377,8 +378,8 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
     raise NotExcited(
         f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}, so their inertia, gravity "
-        "and friction are indistinguishable. Record a motion of all joints, such as "
-        "identify.design_excitation.",
+        "and friction are indistinguishable. Record a motion of "
+        "all joints, such as one from identify.design_excitation.",
         names,
         spread,
     )
@@ -433,7 +434,7 @@ class Survey:
         return np.column_stack([self.qd[:, i], self.signs[:, :, i]])
 
     def friction_over_position(self, i: int) -> np.ndarray:
-        """Return the columns (M, 4 WAVES) for torque and Coulomb friction of joint i that vary with its position."""
+        """Return the columns (M, 4 WAVES) for the position-dependent torque and Coulomb friction of joint i."""
         q = self.q[:, i]
         phase = np.pi * np.arange(1, WAVES + 1) * ((q - q.min()) / max(np.ptp(q), 1e-9))[:, None]
         waves = np.hstack([np.cos(phase), np.sin(phase)])

@@ -1,13 +1,13 @@
 """Linear regression of `fit_dynamics`: shared columns of the base parameters, and separate columns for each joint.
 
 All joints share the base-parameter columns. Each joint has its own columns: viscous, Coulomb and offset; Stribeck, root
-and load if selected (`armlab.identify.friction_structure`). With known gears, it also has the cosine and sine of the
-ripple line at twice the gear ratio, because strain-wave gears engage twice per input revolution. Robot files without
-gears imply a ratio of 1. Such a line would be a harmonic of gravity, so `fit_dynamics` searches the residual for
-lines instead.
+and load if selected (`armlab.identify.friction_structure`). With known gears, each joint also has the cosine and sine
+of the ripple line at twice the gear ratio, because strain-wave gears engage twice per input revolution. Robot files
+without gears imply a ratio of 1. A ripple line at this ratio would be a harmonic of gravity, so `fit_dynamics` searches
+the residual for lines instead.
 
-A motor that drives several joints, as in wrists, adds three shared columns. Its angle is ``theta = c q``; its inertia
-and its viscous and Coulomb friction act on all these joints, ``tau = c^T f(theta)``.
+A motor that drives several joints, as in many wrists, adds three shared columns. The motor angle is ``theta = c q``;
+the motor's inertia and its viscous and Coulomb friction act on all these joints, ``tau = c^T f(theta)``.
 
 All columns are filtered and decimated in blocks, because the full-rate regressor of a whole record does not fit into
 memory.
@@ -74,7 +74,7 @@ class RegressionColumns:
 
     @property
     def geared(self) -> bool:
-        """Whether there are ripple columns."""
+        """Whether the regression has ripple columns."""
         return len(self.lines) > 0
 
     @property
@@ -135,7 +135,7 @@ class RegressionColumns:
         return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 4 + S) of a sign with `delta`, `smooth` (J,), then Stribeck per speed (S, J)."""
+        """Return the columns (M, J, 4 + S) for a sign with `delta`, `smooth` (J,), then Stribeck at speeds (S, J)."""
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), speeds)
 
@@ -147,8 +147,9 @@ class RegressionColumns:
         if fast:
             warnings.warn(
                 f"Expected torque ripple below {data.rate / 4.0:.3g} Hz, a quarter of the sampling rate, in at least "
-                f"half of the samples, got faster ripple for {', '.join(fast)}: it aliases, so no ripple is fitted. "
-                "Record slower motion, such as identify.friction_run, or sample faster.",
+                f"half of the samples, got faster ripple for {', '.join(fast)}: "
+                "this ripple aliases, so no ripple is fitted. "
+                "Record slower motion, such as that of identify.friction_run, or sample faster.",
                 stacklevel=3,
             )
         return not fast
@@ -179,12 +180,12 @@ class ParameterLayout:
 
     @property
     def coupled(self) -> list[tuple[int, int]]:
-        """Return the motor and the row of `COUPLED` for each parameter of the coupled motors."""
+        """Return the motor and the entry of `COUPLED` for each parameter of the coupled motors."""
         return [(m, k) for m, seen in enumerate(self.rotors) for k in range(0 if seen else 1, len(COUPLED))]
 
     @property
     def columns(self) -> list[np.ndarray]:
-        """Parameter indices of the columns of each joint: base parameters, own parameters, coupled motors."""
+        """Parameter indices of the columns of each joint: base, joint-specific and coupled-motor parameters."""
         counts = [len(terms) for terms in self.terms]
         first = len(self.base.names) + np.concatenate([[0], np.cumsum(counts)])
         out = []
@@ -197,7 +198,7 @@ class ParameterLayout:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all parameters: base parameters, own parameters of each joint, coupled motors."""
+        """Names of all parameters: base parameters, joint-specific parameters, coupled motors."""
         own = []
         for i, terms in zip(self.joints, self.terms):
             plain = {"offset": self.base.offset_names[i]}
@@ -208,7 +209,7 @@ class ParameterLayout:
 
     @property
     def heads(self) -> list[str]:
-        """Names without the combined terms of base parameters, which would be too long."""
+        """Short names of all parameters, without the other terms that base parameters combine."""
         return [re.split(r" [+-] ", name)[0] for name in self.names]
 
     @property
@@ -234,7 +235,7 @@ class ParameterLayout:
 
     @property
     def slopes(self) -> np.ndarray:
-        """Mask (p,) of the logarithmic steps of the structure's nonlinear parameters."""
+        """Mask (p,) of the parameters that are logarithmic steps of nonlinear friction parameters."""
         own = [_term(term).column is None for terms in self.terms for term in terms]
         return np.array([False] * len(self.base.names) + own + [False] * len(self.coupled))
 
@@ -292,14 +293,14 @@ NOTHING = 1e-12  # fraction of the torque power below which a derivative is igno
 class Design(RegressionColumns):
     """Filtered and decimated regression problem of J joints.
 
-    `owners`: (K,) joint of each coupled motor. `rotors`: (K,) bool, whether its rotor inertia is identifiable; behind a
-    parallel rod, it acts as link inertia. `gains`: (J,) ratio of measured to true torque. `tau`: (M, J) filtered torque
-    divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters. `fixed`: (M, J, 2 or 4) linear
-    columns: viscous, offset, and ripple with known gears. `coupled_motors`: (M, K, 3) filtered acceleration, velocity
-    and sign of the coupled motors. `free`: (J, 2) bool, which of `FrictionStructure.numbers` have a column. This column
-    is the torque derivative with respect to the logarithm of the number, at the parameters passed to `with_slopes`.
-    `local`: for each joint (M, k), its own columns, with derivatives last, then the columns of the motors that drive
-    it.
+    `owners`: (K,) joint of each coupled motor. `rotors`: (K,) bool, whether the motor's rotor inertia is identifiable;
+    behind a parallel rod, this inertia acts as link inertia. `gains`: (J,) ratio of measured to true torque. `tau`: (M,
+    J) filtered torque divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters. `fixed`:
+    (M, J, 2 or 4) linear columns: viscous, offset, and ripple with known gears. `coupled_motors`: (M, K, 3) filtered
+    acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool, which of `FrictionStructure.numbers`
+    have a column. This column is the torque derivative with respect to the logarithm of the number, at the parameters
+    passed to `with_slopes`. `local`: for each joint, (M, k) joint-specific columns with derivatives last, then the
+    columns of the motors that drive the joint.
     """
 
     base: BaseParameters
@@ -327,7 +328,7 @@ class Design(RegressionColumns):
         structure: FrictionStructure | None = None,
         lines: np.ndarray | None = None,
     ) -> Design:
-        """Filter and decimate all columns; `lines` default to those of the gears."""
+        """Filter and decimate all columns; `lines` defaults to the ripple lines of the gears."""
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
         measured = np.arange(len(robot.joint_names)) if joints is None else np.asarray(joints)
@@ -376,7 +377,7 @@ class Design(RegressionColumns):
         )
 
     def own_columns(self, structure: FrictionStructure) -> Iterator[np.ndarray]:
-        """Yield, for each joint, all its own columns (M, W), including those outside its structure."""
+        """Yield, for each joint, all joint-specific columns (M, W), including those not in its friction structure."""
         shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
         at = [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
         for i in range(len(self.joints)):
@@ -442,7 +443,7 @@ class Design(RegressionColumns):
         return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> FrictionStructure:
-        """Return the structure after the steps in parameters theta (p,), each limited to 0.5."""
+        """Return the structure after applying the steps in the parameters theta (p,), each limited to 0.5."""
         steps = np.zeros(self.free.shape)
         steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
         return self.structure.moved(steps)
@@ -498,7 +499,7 @@ class Design(RegressionColumns):
         return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
     def parameter_covariance(self, cov: np.ndarray) -> ParameterCovariance:
-        """Return the covariance of the base parameters and of friction for the covariance (p, p) of all parameters."""
+        """Extract the covariance of the base parameters and friction from the covariance (p, p) of all parameters."""
         n, size = len(self.robot.joint_names), len(self.base.names)
         columns, maps = [self.base.kept], [np.eye(size, len(cov))]
         for i, (joint, own, A) in enumerate(zip(self.joints, self.layout.columns, self.rigid)):
@@ -533,7 +534,7 @@ class Design(RegressionColumns):
         """Select the friction structure of each joint on held-out blocks of half a second.
 
         The base parameters in theta (p,) are fixed and determine the load of the joints. `trust`: (M, J) weights of
-        the rows; 0 excludes a row. `again`: start from the current structure, which was selected before.
+        the rows; 0 excludes a row. `again`: start from the current structure, which was selected previously.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # only used rows count, so all folds have equal size
@@ -554,7 +555,7 @@ class Design(RegressionColumns):
         return loaded.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
 
     def with_load(self, theta: np.ndarray) -> Design:
-        """Return the design with the load of the joints for the base parameters in theta (p,)."""
+        """Return the design with the joint loads computed from the base parameters in theta (p,)."""
         data, moves = self.data, 0.0 if self.base.quasi_static else 1.0
         links, _ = self.base.links_and_rotors(theta[: len(self.base.names)])
         qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)

@@ -37,7 +37,7 @@ def model_residuals(
 ) -> ModelResiduals:
     """Return measured minus modelled torque of logs; the acceleration is low-passed at a tenth of the rate.
 
-    Joints may rest in these logs.
+    Joints may be at rest in these logs.
     """
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
@@ -103,7 +103,7 @@ def seconds(t: np.ndarray) -> np.ndarray:
 
 
 def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Coulomb torque (N,) of joint i when cold, and the Stribeck and root terms (N,)."""
+    """Return the cold Coulomb torque (N,) of joint i, and the Stribeck and root terms (N,)."""
     f = model.friction
     c = f.coulomb_pos[i] * np.maximum(s, 0) + f.coulomb_neg[i] * np.minimum(s, 0)
     rest = f.stribeck[i] * s * np.exp(-((qd / f.stribeck_speed[i]) ** 2)) + f.root[i] * s * np.sqrt(np.abs(qd))
@@ -111,14 +111,14 @@ def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndar
 
 
 def mean_power(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """Return the means (B, 3) of ``qd qd``, ``c qd`` and ``rest qd`` per second; 0 without rows."""
+    """Return the means (B, 3) of ``qd qd``, ``c qd`` and ``rest qd`` over each second; 0 for seconds without rows."""
     c, rest = dry_torques(model, i, qd, s)
     sums = [np.bincount(number, weights=torque * qd) for torque in (qd, c, rest)]
     return np.stack(sums, axis=1) / np.maximum(np.bincount(number), 1)[:, None]
 
 
 def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
-    """Return x (B,) in the middle of every second for heat (B,) = power / reference and a time constant [s]."""
+    """Return x (B,) at the middle of each second for a heat (B,) = power / reference and a time constant [s]."""
     from scipy.signal import lfilter
 
     keep = float(np.exp(-BIN / time))
@@ -128,7 +128,7 @@ def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
 
 
 def settled(power: np.ndarray, k: np.ndarray, time: float, start: float, reference: float) -> np.ndarray:
-    """Return the thermal state x (B,) of a joint, which depends on the power of its friction."""
+    """Return the thermal state x (B,) of a joint, which depends on its friction power."""
     x = np.zeros(len(power))
     for _ in range(SETTLING):
         heat = (k[0] + k[4] * x) * power[:, 0] + (1 + k[5] * x) * power[:, 1] + power[:, 2]

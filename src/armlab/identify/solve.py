@@ -35,7 +35,7 @@ EXACT = 1e-5  # residuals below this fraction of the measurements are rounding
 
 @dataclass(frozen=True, eq=False)
 class GainProblem:
-    """Sums of a regression with unknown gains.
+    """Least-squares sums of a regression with unknown gains.
 
     `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance and by the
     joint's fraction of effective samples. `weights`: (n,) weight of each joint's squared residuals [1 / (N m)^2].
@@ -63,7 +63,7 @@ class GainProblem:
         return cls(sums, weights, gain_sd, solution.stretch)
 
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return x (p,) and the gains minus 1 (n,)."""
+        """Solve for x (p,) and the gains minus 1 (n,)."""
         p = self.sums.shape[-1] - 1
         total = self.sums.sum(axis=0)
         scale = np.sqrt(np.einsum("iaa->a", total[:, :p, :p]))
@@ -82,7 +82,7 @@ class GainProblem:
         return x / scale, g
 
     def information(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the information (p, p) on x for unknown gains."""
+        """Return the information matrix (p, p) of x for unknown gains."""
         return self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, 1.0 + g)[0]
 
     def gain_covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ class GainProblem:
         return 0.5 * (cov + cov.T)
 
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the response of x to the sums ``weights_i A_i^T e_i`` of each joint, (n, p, p)."""
+        """Return the sensitivity of x to the sums ``weights_i A_i^T e_i`` of each joint, (n, p, p)."""
         S, through, _ = self._reduced(x, g)
         return np.linalg.solve(S, through)
 
@@ -116,14 +116,14 @@ class GainProblem:
         return sides @ sides.T
 
     def _reduced(self, x: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information (p, p), the response of x to each joint's sums (n, p, p), and to its gain (p, n)."""
+        """Return the information matrix (p, p), and the sensitivity of x to joint sums (n, p, p) and gains (p, n)."""
         k = 1.0 + g
         S, u, d = self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, k)
         through = k[:, None, None] * np.eye(len(x)) - u[:, :, None] * x / d[:, None, None]
         return S, through, (u / d[:, None]).T / self.gain_sd if self.gain_sd else np.zeros((len(x), 0))
 
     def _normal(self, G: np.ndarray, x: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information on x (p, p), and u (n, p) and d (n,) as defined above."""
+        """Return the information matrix of x (p, p), and u (n, p) and d (n,) as defined above."""
         Gx = G @ x
         u = k[:, None] * Gx
         d = Gx @ x + (1.0 / self.gain_sd**2 if self.gain_sd else np.inf)
@@ -150,8 +150,8 @@ def alternate(
 ) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the friction structure until convergence; return both.
 
-    Undetermined directions are accepted here and checked in the final fit. `use`: (M,) kept rows used in the fit.
-    `again`: whether the structure has been selected before.
+    Undetermined directions are accepted at this stage and checked in the final fit. `use`: (M,) kept rows used in the
+    fit. `again`: whether the structure has been selected before.
     """
     used = np.ones((len(design.rows), 1)) if use is None else use[:, None].astype(float)
     trust = np.ones_like(design.tau) * used
@@ -204,7 +204,7 @@ def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray
 
 
 def short_blocks(data: Record) -> float:
-    """Return the block length for "lts" [s]."""
+    """Return the block length [s] for the "lts" method."""
     return max(TRIMMED, data.seconds / MOST_BLOCKS)
 
 
@@ -248,7 +248,7 @@ def best_cutoff(design: Design, method: str) -> tuple[float, str]:
 
 
 def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
-    """Return weights (M, J) of the rows that exclude outliers from the structure selection."""
+    """Return row weights (M, J) that exclude outliers from the structure selection."""
     if method == "lts":
         found = least_squares(design.stream(block), design.layout.names, method="lts", seed=seed, max_condition=np.inf)
         return np.repeat(found.kept[block][:, None].astype(float), len(design.joints), axis=1)
@@ -338,7 +338,7 @@ RIDGE = 1e-6  # relative to a column's power, in case half of the log does not d
 def covariance(
     design: Design, solution: LinearSolution, length: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariance (p, p) for known gains, the covariance of the drift, and the torque variance (J,) of drift.
+    """Return the covariance (p, p) for known gains, the drift covariance, and the torque variance (J,) of drift.
 
     `length` blocks form a segment. Drift and its torque variance refer to the change between this log and the next.
     """
@@ -350,7 +350,7 @@ def covariance(
 def _without_drift(
     design: Design, solution: LinearSolution, length: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, LinearSolution]:
-    """Return the covariances (p, p) of drift and its leakage, the torque variance of drift and a driftless solution."""
+    """Return the covariances (p, p) of drift and its leakage, the drift torque variance and a drift-free solution."""
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
@@ -377,10 +377,10 @@ def _time(blocks: int) -> np.ndarray:
 
 
 def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tuple[np.ndarray, ...]:
-    """Return one joint's differences (2,) between the halves and their variances, relative to its friction torque.
+    """Return one joint's differences (2,) between the halves of the log and their variances, relative to friction.
 
-    Also returns the parameters (p, 2) of a unit change, the leakage of a zero-mean linear drift into the solution, and
-    the mean square torque (2,) of a unit change.
+    Also returns the parameter changes (p, 2) for a unit change, the leakage of a zero-mean linear drift into the
+    solution, and the mean square torque (2,) for a unit change.
     """
     factors, columns, x = solution.factors, solution.factors.columns[i], solution.x
     A, y = factors.R[i][:, :, :-1], factors.R[i][:, :, -1]
@@ -444,7 +444,7 @@ def _structure_share(design: Design, solution: LinearSolution) -> np.ndarray:
 
 
 def _rivals(full: np.ndarray, y: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parameters (K, W) of all columns (M, W) of a joint for each of TERMS, and their weights (K,)."""
+    """Return the parameters (K, W) of a joint's columns (M, W) for each choice in TERMS, and their weights (K,)."""
     fold, count = block % FOLDS, block[-1] + 1
     parts = [(full[fold == f], y[fold == f]) for f in range(FOLDS)]
     grams, moments = (np.array(part) for part in zip(*((A.T @ A, A.T @ b) for A, b in parts)))

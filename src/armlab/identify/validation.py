@@ -1,4 +1,4 @@
-"""Validation of a torque model: held-out residuals, their covariance over velocity, and the report per joint."""
+"""Validation of a torque model: held-out residuals, their velocity-dependent covariance, and a per-joint report."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FAST = 0.1  # rad/s: above this speed, the friction bound covers the model error
 
 
 def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Return causal residuals (N, n) of models fitted without the respective row, and the motion mask (N, n).
+    """Return causal residuals (N, n) on held-out rows, and the motion mask (N, n).
 
     A joint is in motion once it has slid far enough since its last reversal or rest for its friction to be known.
     """
@@ -59,7 +59,8 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
 def _causal(model: TorqueModel, data: Record, rows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction.
 
-    For a log long enough for warm-up, only the segments with the rows (N,) are run, starting at their thermal state.
+    For a log long enough for warm-up, only the segments that contain the rows (N,) are run, each from its initial
+    thermal state.
     """
     torque, variance = np.full((2, *data.q.shape), np.nan)
     pieces = data.segments if rows is None or model.warm_up is None else stretches(rows, data)
@@ -84,11 +85,12 @@ def assess(
     constant within a log, so no filter averages it. Covariance and scale are fitted to one half of the segments and
     validated on the other half, in both directions. The model stores the values fitted to all segments. Joints without
     measured torque have no quality figures, and a standard deviation so large that estimators ignore them. If an
-    earlier model `before` is given, joints at rest keep its figures.
+    earlier model `before` is given, joints at rest keep the quality figures of that model.
 
-    The estimator adds the torque variance of the parameters beyond its mean over this record. Held-out errors already
-    contain this part. The covariance is therefore fitted to errors divided by ``sqrt(1 + r)``; r is chosen such that
-    both variances together cover as many errors of the joint as a covariance fitted to all errors.
+    The estimator adds the torque variance due to parameter uncertainty, insofar as it exceeds its mean over this
+    record. Held-out errors already contain this part of the variance. The covariance is therefore fitted to errors
+    divided by ``sqrt(1 + r)``. The factor r is chosen such that both variances together cover as many errors of the
+    joint as a covariance fitted to all errors.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -135,7 +137,7 @@ def assess(
 
 
 def _share(errors: np.ndarray, beyond: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Return r (n,) for which the covariance divided by 1 + r, plus `beyond`, covers as many errors as before."""
+    """Return r (n,) for which the covariance / (1 + r), plus `beyond`, covers as many errors as the original."""
     variance, ratio = _covariance(errors, qd, moving).variance(qd), np.zeros(len(moving.T))
     for i, rows in enumerate(moving.T):
         if beyond[rows, i].any():
@@ -146,7 +148,7 @@ def _share(errors: np.ndarray, beyond: np.ndarray, qd: np.ndarray, moving: np.nd
 
 
 def _of_parameters(model: TorqueModel, data: Record, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean torque variance (n,) of the parameters over rows in motion (N, n), and the excess (N, n)."""
+    """Return the mean torque variance (n,) of the parameters over rows in motion (N, n), and its excess (N, n)."""
     if model.parameters is None:
         return np.zeros(model.n), np.zeros(data.q.shape)
     exact = replace(model, gain_cov=np.zeros_like(model.gain_cov), load_sd=np.zeros(model.n), parameters=None)
@@ -157,7 +159,7 @@ def _of_parameters(model: TorqueModel, data: Record, moving: np.ndarray) -> tupl
 
 
 def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> TorqueModel:
-    """Return a model whose joints at rest (n,) keep the friction, ripple, figures and ranges of an earlier model."""
+    """Return a model whose joints at rest (n,) keep friction, ripple, quality and ranges of an earlier model."""
     scale = before.covariance.alpha2 / model.covariance.alpha2
 
     def mixed(name: str, *but: str, scaled: float = 1.0) -> Any:
@@ -173,7 +175,7 @@ def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> T
 
 
 def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Record) -> TorqueModel:
-    """Return a model with terms added to an earlier model, and with a new torque covariance and quality figures.
+    """Return a model that adds terms to an earlier model, with a new torque covariance and quality figures.
 
     If `before` was identified from one of these logs, its parameters were fitted to rows that are held out in `folds`.
     Its excess squared error on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
@@ -192,7 +194,7 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
 
 
 def fold_of(data: Record) -> np.ndarray:
-    """Return the fifth (N,) of each row (from 0); twenty segments are assigned cyclically."""
+    """Return the cross-validation fold (N,) of each row (from 0); twenty segments are assigned cyclically."""
     return data.blocks(data.seconds / STRETCHES) % FIFTHS
 
 
@@ -213,7 +215,7 @@ def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
 
 
 def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> VelocityCovariance:
-    """Return the covariance over velocity of each joint from its rows in motion, scaled to 95.4 % coverage."""
+    """Return each joint's velocity-dependent covariance, fitted to rows in motion and scaled to 95.4 % coverage."""
     unknown = VelocityCovariance("exp", np.array([UNMEASURED]), np.array([UNMEASURED]), np.ones(1))
     parts = [
         fit_velocity_covariance(errors[rows, i : i + 1], qd[rows, i : i + 1], "exp").value if rows.any() else unknown
@@ -228,7 +230,7 @@ def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> Veloc
 def _bound(
     model: TorqueModel, covariance: VelocityCovariance, e: np.ndarray, qd: np.ndarray, moving: np.ndarray
 ) -> FrictionBound:
-    """Return the friction bound near rest; its floor is the 99 % quantile of errors in motion beyond 2 sigma."""
+    """Return the friction bound near rest; its floor is the 99 % quantile of errors in motion minus 2 sigma."""
     fast = np.where(moving & (np.abs(qd) > FAST), np.abs(e), np.nan)
     sigma = np.sqrt(covariance.alpha2 * covariance.Cinf)
     known = np.isfinite(fast).any(axis=0)
@@ -262,7 +264,7 @@ def training(
 
 
 def speed_shares(qd: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Return the share (n, 2 bins) of samples per speed bin, negative direction first, slowest bin first."""
+    """Return the share (n, 2 bins) of samples per speed bin, with the negative direction and the slowest bin first."""
     bins = len(SPEED_EDGES)
     number = np.searchsorted(SPEED_EDGES[1:], np.abs(qd) / np.where(peak > 0, peak, 1.0), side="left")
     number = number + bins * (qd > 0)
@@ -395,7 +397,7 @@ def _misplaced(ratio: float) -> float:
     """Return the variance of the number of samples on the wrong side of the threshold, given the ratio of variances.
 
     The variance is ``1 + 6.5 / (L1 L2)``, with L1 and L2 the expected loss of likelihood per sample on the wrong side.
-    This is the limit law of a change point for small losses, and one sample for large losses.
+    For small losses, this formula is the limit law of a change point; for large losses, it gives one sample.
     """
     log = np.log(ratio)
     losses = 0.25 * (ratio - 1.0 - log) * (1.0 / ratio - 1.0 + log)
@@ -458,7 +460,7 @@ def momentum_noise(
     """Return the correlation time and velocity noise of a record, and factors for 95.4 % coverage of the estimators.
 
     `drift`: torque variance (n,) of friction that changes between logs, in addition to the `errors`. `ratio`: variance
-    (n,) that the estimator adds on its own, relative to the squared errors.
+    (n,) added by the estimator itself, relative to the squared errors.
     """
     step, drift = float(np.median(data.dt)), np.broadcast_to(drift, model.n)
     known = [column[np.isfinite(column)] for column in errors.T]
@@ -491,7 +493,7 @@ def _factor_of_observer(
     drift: np.ndarray,
     ratio: np.ndarray | float,
 ) -> float:
-    """Return the factor of the observer, which averages the errors of the log, but not the drift."""
+    """Return the covariance factor of the observer, which averages the errors of the log, but not the drift."""
     variance = model.covariance.variance(data.qd) / model.covariance.alpha2
     parts = [
         np.stack([np.where(np.isfinite(errors[rows]), found[3] ** 2, np.nan), variance[rows]])
@@ -541,7 +543,7 @@ def _runs(
 
 
 def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
-    """Yield the segments (start, stop) that contain the rows (N,), with up to half a second before them."""
+    """Yield the segments (start, stop) that contain the rows (N,), extended by up to half a second before the rows."""
     lead = int(LEAD * data.rate)
     for first, last in data.segments:
         counts = np.concatenate([rows[first:last], np.zeros(lead, dtype=bool)])
@@ -552,7 +554,7 @@ def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
 
 
 def _factor(ratios: list[np.ndarray]) -> float:
-    """Return the factor on the covariance for which `COVERAGE` of the ratios are below SIGMAS^2; 1 without ratios."""
+    """Return the covariance factor for which `COVERAGE` of the ratios are below SIGMAS^2; 1 without ratios."""
     known = np.concatenate([np.zeros(0), *(part.ravel() for part in ratios)])
     return float(np.clip(np.quantile(known, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if known.size else 1.0
 
@@ -600,7 +602,7 @@ def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str
     lines += [f"torque gain per joint (common scale factor not identifiable): {_gains(model, judged)}"]
     if solution is not None and solution.active:
         lines += [bound.text() for bound in solution.active]
-        lines += [f"bounds increase the residual by {100 * solution.growth:.2g} %"]
+        lines += [f"parameter bounds increase the residual by {100 * solution.growth:.2g} %"]
     last = (f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text())
     return "\n".join([parameter_text(fit), "", *lines, *last])
 
@@ -613,7 +615,7 @@ def _gains(model: TorqueModel, joints: np.ndarray) -> str:
 
 
 def places_of_joints(fit: Fit[TorqueModel]) -> list[np.ndarray]:
-    """Return the indices of each joint's own parameters, starting with viscous; empty for joints without torque."""
+    """Return the indices of each joint's parameters, starting with viscous; empty for joints without torque."""
     first, last = len(fit.value.base_names), len(fit.names)
     own = [k for k in range(first, last) if " of motor " not in fit.names[k]]
     begins = [k for k in own if fit.names[k].startswith("viscous ")]
@@ -621,7 +623,7 @@ def places_of_joints(fit: Fit[TorqueModel]) -> list[np.ndarray]:
 
 
 def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:
-    """Return the standard deviations of each joint's own parameters by kind."""
+    """Return the standard deviations of the joint-specific parameters by kind."""
     return [{fit.names[k].split()[0]: float(fit.sd[k]) for k in places[::-1]} for places in places_of_joints(fit)]
 
 

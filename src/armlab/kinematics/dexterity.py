@@ -188,8 +188,8 @@ class SelfMotion(Shown):
     q : (N, n) joint positions; the first is the start.
     s : (N,) arc length [rad; m for prismatic joints].
     position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
-    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. For the task "axis", of the z axis
-        only; for "position", 0.
+    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. For the task "axis", rotation of the
+    z axis only; for "position", 0.
     end : reason for the end: "length" (full length reached), "limit of joint k", "optimum" or "singular".
     """
 
@@ -300,7 +300,7 @@ class _Curve:
         return q, along / np.linalg.norm(along)
 
     def step(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float, str]:
-        """Return the next point, its tangent, the distance moved, and "length" or the reason for the end."""
+        """Return the next point of the self-motion, its tangent, the distance moved, and "length" or the end reason."""
         if self.climbs:
             uphill = self.projected(q, self.gradient(q))
             tangent = uphill / max(float(np.linalg.norm(uphill)), 1e-300)

@@ -125,7 +125,7 @@ def forward_jacobian(
 
 
 def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
-    """Return the compiled chain and whether to use tool axes."""
+    """Return the compiled kinematic chain, and whether the axes are those of the tool."""
     try:
         return robot.chain, _TOOL_AXES[frame]
     except AttributeError:
@@ -140,10 +140,10 @@ def jacobian_derivative(
     """Return the time derivative (..., 6, n) of the Jacobian: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 
     This is the derivative of the array returned by `jacobian` for the same `frame`. In base axes, `vd` is the
-    acceleration of the tool point and `wd` the angular acceleration of the tool. In tool axes, they are the rates of
-    the velocity components; the acceleration of the tool point is then ``vd + w x v``, and the angular acceleration is
-    `wd`. The result equals Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED ("base") and LOCAL
-    ("tool").
+    acceleration of the tool point and `wd` the angular acceleration of the tool. In tool axes, these vectors are the
+    rates of the velocity components; the acceleration of the tool point is then ``vd + w x v``, and the angular
+    acceleration is `wd`. The result equals Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED
+    ("base") and LOCAL ("tool").
 
     Parameters
     ----------

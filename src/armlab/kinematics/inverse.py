@@ -74,12 +74,12 @@ def inverse(
     posture : (n,) or (..., n) target of the objective "posture"; default: `q0`, or the home posture without `q0`.
     tol : position tolerance [m] and rotation tolerance [rad]; one number for both, or a pair.
     maxiter : maximum number of iterations per start, 0 to 1 000 000; if all starts fail, the best start continues for
-        the same number again.
+    as many iterations again.
     starts : maximum number of starts; 1: only `q0`.
     damping : lambda divided by the squared error (ikinePOE's lambda); multiplied by 8 after a failed step.
     seed : seed of the random postures; results are reproducible, and identical for batches and single goals.
     threads : number of threads that share the goals, 1 to 256; the result does not depend on it.
-    history : whether to record the errors during the descent that produced the result.
+    history : whether to record the errors during the search that produced the result.
     strict : whether to raise an exception if a goal is not solved.
 
     Returns
@@ -123,14 +123,14 @@ def inverse(
 
 @dataclass(frozen=True, eq=False)
 class IkSolution:
-    """Joint positions for one goal or a batch of goals; arrays are read-only, and scalars for a single goal.
+    """Joint positions for one goal or a batch of goals; the arrays are read-only, and become scalars for a single goal.
 
     Attributes
     ----------
     q : (..., n) joint positions, always within the limits; if unsolved, the posture with the smallest error.
     success : (...) whether the errors are within the tolerance.
     position_error : (...) distance from tool point to goal [m]; NaN for the task "direction".
-    rotation_error : (...) angle from the tool or its axis to the goal [rad]; NaN for the task "position".
+    rotation_error : (...) angle between the tool or its axis and the goal [rad]; NaN for the task "position".
     iterations : (...) total number of iterations over all starts.
     starts : (...) number of starts used.
     reason : (...) "solved", or the cause of failure:

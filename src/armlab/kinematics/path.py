@@ -34,14 +34,12 @@ class IkPath:
     success : (N,) whether the pose is reached with a step of at most `max_step`. A path is executable if all rows are
         successful.
     position_error : (N,) distance from tool point to goal [m]; NaN for the task "direction".
-    rotation_error : (N,) angle from the tool or its axis to the goal [rad]; NaN for the task "position".
-    reason : (N,) "solved", or why the path breaks at this row. If the errors are within the tolerance, the path
-        continues from `q`; otherwise, `q` is the posture with the smallest error.
-        "out of reach": the distance from the first joint to the pose exceeds the total length of the links;
-        "limits": a joint is at its limit;
-        "singular": no joint reduces the error;
-        "jump": the pose is reached on this branch, but the step from the previous row exceeds `max_step`;
-        "iterations": the error was still falling at the iteration limit.
+    rotation_error : (N,) angle between the tool or its axis and the goal [rad]; NaN for the task "position".
+    reason : (N,) "solved", or the reason why the path breaks at this row. If the errors are within the tolerance, the
+        path continues from `q`; otherwise, `q` is the posture with the smallest error. "out of reach": the distance
+        from the first joint to the pose exceeds the total length of the links; "limits": a joint is at its limit;
+        "singular": no joint reduces the error; "jump": the pose is reached on this branch, but the step from the
+        previous row exceeds `max_step`; "iterations": the error was still falling at the iteration limit.
     branch_changes : (k,) indices of the rows at which the path breaks and continues on a different branch.
     iterations : (N,) number of descent iterations.
     """
@@ -96,8 +94,8 @@ def inverse_path(
     Every pose is solved as in `inverse`, starting from the previous row plus its last step. The arm therefore stays on
     its branch, and keeps its direction of motion through singular postures. Near singular postures, damping and the
     step limit bound the joint motion; if the descent stalls, it restarts from random postures around the previous row.
-    If the path breaks, `reason` states why. The path then continues on the same branch, or on a different branch from
-    the rows listed in `IkPath.branch_changes`.
+    If the path breaks, `reason` states the cause. The path then continues on the same branch, or on a different branch
+    from the rows listed in `IkPath.branch_changes`.
 
     Parameters
     ----------
@@ -169,7 +167,7 @@ def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | No
 
 
 class Rows(NamedTuple):
-    """Kernel result: postures (N, n), errors (N, 3), and counts (N, 3) of steps, status and other branch."""
+    """Kernel result: postures (N, n), errors (N, 3), and integers (N, 3): steps, status, whether the branch changed."""
 
     q: np.ndarray
     errors: np.ndarray
@@ -183,7 +181,7 @@ Solve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve: Solve) -> Rows:
-    """Return `rows` with detours around breaks, if detours reduce the number of broken rows."""
+    """Return `rows` with detours around breaks if these reduce the number of broken rows."""
     rng = np.random.default_rng(0)
     given_up = 0  # no detours are tried for breaks up to this row
     best = rows
@@ -206,7 +204,7 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
-    """Return the detour, from where it leaves the path up to row k, that continues furthest beyond row k."""
+    """Return the detour up to row k that can be continued furthest beyond row k; it begins where it leaves the path."""
     best, furthest, seen = None, -1, []
     before = slice(k - 1, max(0, k - LOOK_BACK) - 1 if k > LOOK_BACK else None, -1)
     for q in solutions[0][solutions[1]]:

@@ -1,4 +1,4 @@
-"""Argument checks for functions without a compiled kernel. NaN is accepted, so missing values remain missing."""
+"""Argument checks for functions that have no compiled kernel. NaN is accepted, so missing values remain missing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROTATION_TOLERANCE = 1e-5
 
 
 def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
-    """Return `value` as float64; raise unless its shape ends with `tail`."""
+    """Return `value` as float64; raise an error unless its shape ends with `tail`."""
     try:
         result = np.asarray(value)
     except (TypeError, ValueError):
@@ -27,7 +27,7 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 
 
 def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
-    """Raise unless the leading axes of the arguments broadcast; each is (array, number of axes of one element)."""
+    """Raise an error unless the leading axes of the arguments (array, number of axes of one element) broadcast."""
     try:
         np.broadcast_shapes(*(value.shape[: value.ndim - axes] for value, axes in arguments.values()))
     except ValueError:
@@ -36,7 +36,7 @@ def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
 
 
 def tolerance(value: float) -> float:
-    """Return a tolerance as float; raise unless it is a single number >= 0."""
+    """Return a tolerance as float; raise an error unless it is a single number >= 0."""
     number = array(value, (), "tolerance")
     if number.ndim or not number >= 0.0:
         raise ShapeError(f"Expected a tolerance >= 0, got {value!r}. The default is 1e-5.")

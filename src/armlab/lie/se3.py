@@ -355,7 +355,7 @@ def mean(
     Parameters
     ----------
     T : (N, ..., 4, 4) poses, N ≥ 1.
-    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a pose, even if it is missing.
+    weights : (N,) or (N, ...), non-negative; default: equal. A weight of 0 excludes a pose, even a missing one.
     method : "chordal" or "geodesic" mean of the rotations.
 
     Raises

@@ -367,7 +367,7 @@ def _length(v: np.ndarray) -> np.ndarray:
 
 
 def _turn(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return atan2 (...), or NaN if both arguments are lost to rounding."""
+    """Return atan2 (...), or NaN if both arguments are only rounding errors."""
     return np.where(np.hypot(sine, cosine) < UNDEFINED, np.nan, np.arctan2(sine, cosine))[()]
 
 
@@ -383,7 +383,7 @@ def mean(
     Parameters
     ----------
     R : (N, ..., 3, 3) rotations, N ≥ 1.
-    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a rotation, even if it is missing.
+    weights : (N,) or (N, ...), non-negative; default: equal. A weight of 0 excludes a rotation, even a missing one.
     method : "chordal" or "geodesic".
 
     Raises
@@ -410,7 +410,7 @@ def mean(
 
 
 def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
-    """Return weights (N, ...), normalised along axis 0, for a batch with these leading axes."""
+    """Return weights (N, ...), normalised along axis 0, for a batch with the given leading axes."""
     if not batch or batch[0] == 0:
         raise ShapeError(f"Expected at least one element along axis 0 for a mean, got leading axes {batch}.")
     if weights is None:
@@ -442,5 +442,5 @@ def _geodesic(R: np.ndarray, share: np.ndarray, mean: np.ndarray) -> np.ndarray:
             return mean
     raise NotConverged(
         f"Expected rotations with a unique geodesic mean, but the iteration did not converge in {ITERATIONS} steps. "
-        "Use the chordal mean, or cluster them first."
+        "Use the chordal mean, or cluster the rotations first."
     )

@@ -1,6 +1,6 @@
 """Browser views of recordings, running bridges and fleets: arms, forces with their uncertainty, and curves.
 
-The views require viser (extra `live`), which is imported on first use. They can be opened only on this computer.
+The views require viser (extra `live`), which is imported on first use. The views can be opened only on this computer.
 """
 
 from __future__ import annotations

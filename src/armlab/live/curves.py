@@ -18,7 +18,7 @@ from armlab.robots import Robot
 
 
 class RingBuffer:
-    """Samples of the last few seconds up to the newest sample."""
+    """Buffer of the samples from the last few seconds."""
 
     def __init__(self, width: int, seconds: float) -> None:
         self._width, self._seconds = width, seconds
@@ -153,7 +153,7 @@ class Curves:
             self._plot.data = [t, *_interrupted(columns[:drawn]), *columns[drawn:]]
 
     def _marked(self, t: np.ndarray, columns: np.ndarray, at: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Add a column for the cursor, and two rows at its time for the lower and upper ends of the scale."""
+        """Add a column for the cursor, and two rows at the cursor time for the lower and upper ends of the scale."""
         columns = np.column_stack([columns, np.full(len(t), np.nan)])
         if at is None or not len(t):
             return t, columns

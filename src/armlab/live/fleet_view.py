@@ -55,7 +55,7 @@ class SeenRobot:
         self._quiet = math.inf  # s of listening since the newest row
 
     def live(self, is_alive: bool) -> None:
-        """Process the appearance or disappearance of the bridge, which may restart in between."""
+        """Register that the bridge appeared or disappeared; it may have restarted in between."""
         self.is_alive: bool = is_alive
         self.wants = True
         self._quiet = math.inf

@@ -96,7 +96,7 @@ class Running:
         except LinkError:
             self.close()
             self._due = time.monotonic() + _AGAIN
-            self.state = f"The bridge of {self._cell} has ended. Waiting for it to start again."
+            self.state = f"The bridge of {self._cell} has ended. Waiting for the bridge to start again."
         return self.row is not before
 
     def _look(self, seconds: float) -> None:
@@ -145,7 +145,7 @@ class Running:
         return self.row.values[f"{arm}.{name}"]
 
     def force(self, arm: str) -> Force | None:
-        """Return the force on an arm: estimated by its controller, else from a model, else from the sensor."""
+        """Return the force on an arm: from its controller's estimate, else from a model, else from the sensor."""
         recorded = self.value(arm, "wrench_hat")
         if np.isfinite(recorded).all():
             return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")
@@ -185,7 +185,8 @@ def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict
     for model in models:
         if model.robot_name not in arms:
             raise ModelMismatchError(
-                f"Expected a model of {' or '.join(arms)}, got a model of {model.robot_name!r}. Pass one for this arm."
+                f"Expected a model of {' or '.join(arms)}, got a model "
+                f"of {model.robot_name!r}. Pass a model for this arm."
             )
         found[model.robot_name] = _Estimate(model, arms[model.robot_name])
     return found

@@ -70,7 +70,7 @@ class Recorded:
 
     @cached_property
     def covariance(self) -> np.ndarray | None:
-        """Covariance (N, 6, 6) of an estimated wrench, or None."""
+        """Covariance (N, 6, 6) of the estimated wrench, or None."""
         return self.table["wrench_hat_cov"] if {"wrench_hat", "wrench_hat_cov"} <= set(self.table.names) else None
 
     @cached_property
@@ -79,7 +79,7 @@ class Recorded:
         return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
 
     def row(self, t: float) -> int:
-        """Return the index of the last row at or before time t [s], or 0."""
+        """Return the index of the last row at or before time t [s], or 0 if there is none."""
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
@@ -88,7 +88,7 @@ class Recorded:
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
 
     def words(self, t: float) -> dict[str, str]:
-        """Return the status of the link at time t [s]: state, rate, round-trip times, active limits, lost packets."""
+        """Return the connection status at time t [s]: state, rate, round-trip times, active limits, lost packets."""
         k = self.row(t)
         times = self.t[self.span(t, _RATE_SPAN)]
         rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
@@ -384,7 +384,7 @@ class Player:
         ------
         ShapeError : t is not finite.
         """
-        t = number(t, "the time to go to [s]")
+        t = number(t, "time to go to [s]")
         if not math.isfinite(t):
             raise ShapeError(f"Expected a finite time to go to, got {t}. Pass 0 to {self.duration:g} s.")
         with self._lock:

@@ -310,7 +310,8 @@ class RobotScene:
         """Draw an arm at a configuration q (n,) [rad or m] and the force on it. Missing or NaN values are hidden.
 
         `wrench`: wrench (6,) or force (3,) exerted by the environment on the robot, in base axes at the tool point [N,
-        N m]. `covariance`: its covariance (6, 6) or (3, 3). Draw all arms of a frame inside ``with server.atomic():``.
+        N m]. `covariance`: covariance (6, 6) or (3, 3) of the wrench or force. Draw all arms of a frame inside ``with
+        server.atomic():``.
         """
         robot = self._robot(name)
         q = _array(q, "q", ((robot.n,),))
@@ -327,7 +328,8 @@ class RobotScene:
         self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
 
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
-        """Draw a named frame at a pose (4, 4), or move it there; None removes it. `length`: length of its axes [m]."""
+        """Draw a named frame at a pose (4, 4), or move it there; None removes it. `length`: length of the frame's axes
+        [m]."""
         if T_world_x is None:
             if name in self._frames:
                 self._frames.pop(name).remove()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 HOST = "127.0.0.1"
-"""The only listening address."""
+"""The only address on which the server listens."""
 
 _OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # any port, because it may be forwarded
 _PORT = 8080
@@ -53,7 +53,9 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
         server = viser.ViserServer(host=HOST, port=_PORT if port is None else port, label=label, verbose=False)
     if port and server.get_port() != port:  # viser falls back to the next free port
         stop(server)
-        raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another with --port.")
+        raise LinkError(
+            f"Expected port {port} to be free for the view, but it is in use. Choose another port with --port."
+        )
     _refuse_other_sites(server)
     server.request_share_url = _refused  # because a page can also request the link
     server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -95,7 +97,7 @@ def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
 
 
 def _refuse_other_sites(server: ViserServer) -> None:
-    """Close connections from other sites' pages before sending data, because viser does not check the origin."""
+    """Close connections from pages of other sites before sending data, because viser does not check the origin."""
     sockets = server._websock_server  # viser provides no public access to the request headers
 
     async def look(client: Any) -> None:

@@ -42,7 +42,7 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
 
     Uses the first available clock: a column `t`, the robot's clock, the session time (offset by the stamps of each
     session), or the stamps. The robot's clock must be complete, increasing and within 1 s of the session time;
-    otherwise it was set during recording.
+    otherwise, it is ignored because it was set during recording.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"
@@ -102,13 +102,13 @@ def rows_in_order(
         t = np.maximum.accumulate(np.where(np.isfinite(t), t, -np.inf) - steps) + steps
         return t, np.ones(len(t), dtype=bool), ()
     first = ", ".join(row(int(number)) for number in np.flatnonzero(~keep)[:5])
-    note = f"{lost} rows{of} dropped: their time does not advance ({first}{', ...' if lost > 5 else ''})"
+    note = f"{lost} rows{of} dropped: their time does not increase ({first}{', ...' if lost > 5 else ''})"
     warnings.warn(f"{note}; raw=True keeps them", stacklevel=4)
     return t, keep, (note,)
 
 
 def _fits(array: np.ndarray, kind: str | None) -> bool:
-    """Return whether the values fit their kind; the table handles missing values."""
+    """Return whether the values are valid for the kind of their column; the table handles missing values."""
     if array.dtype.kind != "f" or kind not in ("count", "flag") or not np.isfinite(array).all():
         return True
     with np.errstate(invalid="ignore"):

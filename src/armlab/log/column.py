@@ -46,7 +46,7 @@ class Column(Shown):
 
 
 def resolved(column: Column, name: str) -> Column:
-    """Complete a description from the glossary; raise an error if they contradict each other."""
+    """Complete a description from the glossary; raise an error if the two contradict each other."""
     symbol = glossary.columns().get(name)
     if symbol is None and column.unit is None:
         raise ShapeError(
@@ -93,7 +93,7 @@ def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, C
     """Return the stored values (C-contiguous, little-endian, read-only), their description, and a note or ""."""
     raw = np.asarray(values)
     if name == "t":
-        raise ShapeError("Expected column names other than t, which is the clock of the table, got t. Rename it.")
+        raise ShapeError("Expected column names other than t, which is the table's clock, got t. Rename it.")
     if raw.ndim == 0:
         raise ShapeError(f"Expected one value per row for the column {name!r}, got a single value.")
     described = resolved(replace(column or Column(), shape=raw.shape[1:]), name)

@@ -150,8 +150,8 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
 
     Raises
     ------
-    LogError : the file is not a MAT file, is corrupt, or does not contain exactly one 4x4 array. Also if the array is
-        not a pose, or if its rotation block is off by more than 1e-5 without `project`.
+    LogError : the file is not a MAT file, is corrupt, or does not contain exactly one 4x4 array. Also raised if the
+    array is not a pose, or if its rotation block is off by more than 1e-5 without `project`.
     UnknownName : the variable does not exist.
     MissingExtra : the file has version 7.3, and h5py is not installed.
     """
@@ -181,7 +181,7 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
         if not project:
             raise LogError(
                 f"Expected a rotation in {key} of {path}, got a matrix at a distance of {float(distance):.3g} from the "
-                f"nearest rotation (error of RᵀR: {off:.3g}). Pass project=True to project it."
+                f"nearest rotation (error of RᵀR: {off:.3g}). Pass project=True to use the nearest rotation."
             )
         M = nearest
     return PoseFile(still(se3.orthonormalise(M), "a pose"), key, float(distance))
@@ -197,7 +197,7 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
     if len(data) > LONGEST:
         raise LogError(f"Expected a tracker file of at most {LONGEST} bytes at {path}, got a larger file. Split it.")
     if b"\0" in data:
-        raise LogError(f"Expected text at {path}, got binary data. For MAT files use read_matrix.")
+        raise LogError(f"Expected text at {path}, got binary data. For MAT files, use read_matrix.")
     lines = data.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
     rows: list[list[float]] = []
     for k, line in enumerate(lines, start=1):

@@ -79,12 +79,13 @@ def read(
 
     Returns
     -------
-    Table : t = 0 at the first row, on the robot's clock if recorded. Unrecorded data have no column.
+    Table : t = 0 at the first row, on the robot's clock if recorded. Data that were not recorded have no column.
 
     Raises
     ------
-    LogError : the file is missing, unreadable or in an unknown format. Also if a log from another program has topics
-        with different rates, several arms, or joints that do not match those of the robot; the message lists them.
+    LogError : the file is missing, unreadable or in an unknown format. Also raised if a log from another program has
+        topics with different rates, several arms, or joints that do not match those of the robot; the message lists
+        them.
     MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a column, topic, preset or robot does not exist; the message lists the available names.
     ConfigError : clock= for a log with one clock, robot= for a file without robot names, or invalid columns=.
@@ -229,7 +230,7 @@ def read_arm(
 def _source_of(missing: Sequence[str], table: Table, robot: Robot, mapped: bool) -> str:
     """Return a hint on how to obtain the missing positions or torques."""
     if mapped:
-        return f"Pass their names: --columns '{','.join(f'{name}=NAME_{{1..{robot.n}}}' for name in missing)}'."
+        return f"Pass the column names: --columns '{','.join(f'{name}=NAME_{{1..{robot.n}}}' for name in missing)}'."
     if fitting := fitting_presets(dict.fromkeys(["time", *table.names], (table.t, ""))):
         return fitting
     if missing == ["tau"]:
@@ -252,7 +253,7 @@ def in_order_of(robot: Robot, table: Table, path: Path) -> Table:
         if not order:
             raise LogError(
                 f"Expected the joints of {robot.name} ({', '.join(robot.ros_joint_names)}) in {name} of {path}, got "
-                f"{', '.join(column.labels)}. Pass the recorded robot, or the columns in its order: "
+                f"{', '.join(column.labels)}. Pass the robot that was recorded, or the columns in its order: "
                 f"--columns {name}=NAME_{{1..{robot.n}}}."
             )
         places = [column.labels.index(one) for one in order]

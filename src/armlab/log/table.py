@@ -355,7 +355,7 @@ class Table:
         return self._derived(operation, t=t, values=values, columns=columns)
 
     def join(self, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
-        """Add another table's columns at the times of this table, and the age of each as ``<name>_age``.
+        """Add another table's columns at the times of this table, and the age of each value as ``<name>_age``.
 
         The tables are aligned by wall-clock time (`t0_ns`) if both have it, otherwise by `t`.
 
@@ -570,7 +570,7 @@ def concat(*tables: Table) -> Table:
         differ = sorted(name for name in columns.keys() | other.keys() if columns.get(name) != other.get(name))
         if differ:
             raise ShapeError(
-                f"Expected the same columns in all tables, got differences of table {number} in {', '.join(differ)}."
+                f"Expected the same columns in all tables, but table {number} differs in {', '.join(differ)}."
             )
     walled = all(table.t0_ns for table in tables)
     clocks = [table.t + ((table.t0_ns - first.t0_ns) / 1e9 if walled else 0.0) for table in tables]

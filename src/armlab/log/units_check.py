@@ -1,4 +1,4 @@
-"""Checks for wrong units and motor-side values, whose errors state the likely factor."""
+"""Checks for wrong units and motor-side values, whose error messages state the likely factor."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
 
 
 def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
-    """Return the likely unit of a position that is `times` its limit."""
+    """Return the likely unit of a position that is `times` as large as its limit."""
     gear, found = gears(robot)[joint], []
     unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))
     if times <= 1.05 * unit[1]:
@@ -89,7 +89,7 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
 
 
 def _meaning(gain: float, correlation: float, gear: float) -> str:
-    """Return the likely cause of a factor between qd and the derivative of q."""
+    """Return the likely cause of a scale factor between qd and the derivative of q."""
     known = [(1.0, "sign"), (np.rad2deg(1.0), "degrees per second"), (np.deg2rad(1.0), "position in degrees")]
     known += [(1e3, "per millisecond"), (1e-3, "thousandths")]
     if gear >= GEARED:

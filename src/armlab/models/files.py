@@ -49,7 +49,7 @@ def register(kind: str, cls: type) -> None:
     ----------
     kind : name of the format, written into the file; for example "hand_eye".
     cls : class whose fields are numbers, strings, arrays, tuples and dicts of these, None, or other registered values.
-        Its constructor must accept its field values.
+        The constructor of the class must accept the field values.
     """
     if not is_dataclass(cls) or _CLASSES.setdefault(kind, cls) is not cls:
         raise ConfigError(f"Expected a dataclass and a unique kind, got {cls.__name__} and {kind!r}.")
@@ -130,7 +130,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     if kind not in _CLASSES or version != FORMAT:
         raise ModelMismatchError(
             f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
-            f"{kind!r} in format {version}. Import {package}, which wrote the file, or save it again."
+            f"{kind!r} in format {version}. Import {package}, which wrote the file, or save the file again."
         )
     with _readable(f"the fields of a {kind} at {path}", "Save the file again."):
         value = decode({"kind": kind, "fields": raw["value"]})
@@ -168,7 +168,7 @@ def encode(item: Any) -> Any:
 
 
 def decode(item: Any) -> Any:
-    """Return the field encoded by `encode`."""
+    """Decode a field that was encoded by `encode`."""
     if not isinstance(item, dict):
         return item
     if "array" in item:

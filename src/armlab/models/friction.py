@@ -71,7 +71,7 @@ FRICTION_TERMS = {
 }
 """All friction terms with names, units, regressors and bounds.
 
-The law itself is implemented in `native/math/contact/drive.h`.
+The friction law itself is implemented in `native/math/contact/drive.h`.
 """
 
 
@@ -81,7 +81,7 @@ def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]
         values = still(getattr(instance, name), f"{name} of {what}")
         if values.shape != shape or not np.isfinite(values).all():
             got = "NaN or Inf" if values.shape == shape else f"shape {values.shape}"
-            raise ShapeError(f"Expected finite {name} of shape {shape} of {what}, got {got}.")
+            raise ShapeError(f"Expected finite {name} of shape {shape} for {what}, got {got}.")
         object.__setattr__(instance, name, values)
 
 
@@ -132,7 +132,7 @@ class Friction(Shown):
     delta : array, shape (n,), rad
         Presliding distance, above 0.
     resolution : array, shape (n,), rad
-        Smallest displacement that the encoder separates from noise; the presliding state ignores smaller changes.
+        Smallest displacement that the encoder can distinguish from noise; the presliding state ignores smaller changes.
     root : array, shape (n,), N m/sqrt(rad/s)
         Torque proportional to the square root of speed. Default: 0.
     smooth_speed : array, shape (n,), rad/s
@@ -190,8 +190,8 @@ class Friction(Shown):
 class FrictionBound(Shown):
     """Bound on the friction error near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
 
-    Near zero speed, friction is bounded rather than random, and it is constant while the joint rests (Linderoth, Stolt,
-    Robertsson and Johansson, IROS 2013).
+    Near zero speed, friction is bounded rather than random, and it is constant while the joint is at rest (Linderoth,
+    Stolt, Robertsson and Johansson, IROS 2013).
 
     Attributes
     ----------
@@ -229,8 +229,8 @@ class FrictionBound(Shown):
 class Ripple:
     """One torque ripple line per joint: ``cosine cos(cycles q) + sine sin(cycles q)``; every field has shape (n,).
 
-    `cycles`: angular frequency over the joint angle [rad/rad]; 2 |gear| for strain-wave gears. `cosine`, `sine`:
-    amplitudes [N m].
+    `cycles`: angular frequency with respect to the joint angle [rad/rad]; 2 |gear| for strain-wave gears. `cosine`,
+    `sine`: amplitudes [N m].
     """
 
     cycles: np.ndarray
@@ -295,11 +295,11 @@ class RadialBasis:
 
     @property
     def size(self) -> int:
-        """Number of functions per joint, 2 P S."""
+        """Number of basis functions per joint, 2 P S."""
         return 2 * self.positions.shape[1] * self.speeds.shape[1]
 
     def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1."""
+        """Return the basis functions (N, 2 P S) of joint i, positive direction first; their sum is 1."""
         at = basis_weights(q, self.positions[i], self.position_widths[i])
         along = basis_weights(np.abs(qd), self.speeds[i], self.speed_widths[i])
         phi = (at[:, :, None] * along[:, None, :]).reshape(len(at), -1)
@@ -361,8 +361,10 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
     """Return centres and widths (count,) [rad/s] of Gaussians that are evenly spaced between two speeds."""
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
-        raise ShapeError(f"Expected at least 2 Gaussians from one speed to a faster one, got {count} from {slowest:g} "
-                         f"to {fastest:g} rad/s.")  # fmt: skip
+        raise ShapeError(
+            f"Expected at least 2 Gaussians from one speed to a higher speed, got {count} from {slowest:g} to "
+            f"{fastest:g} rad/s."
+        )
     centres = np.linspace(slowest, fastest, count)
     return centres, np.full(count, centres[1] - centres[0])
 
@@ -376,7 +378,7 @@ class RippleLines(Shown):
     joint : int array, shape (L,)
         Joint of each line, counted from 0, in ascending order.
     cycles : array, shape (L,), cycles per revolution
-        Frequency of each line over the joint angle (in cycles per revolution, which equals rad/rad).
+        Frequency of each line with respect to the joint angle (in cycles per revolution, which equals rad/rad).
     speeds : array, shape (n, S), rad/s
         Centres of the Gaussians in speed, ascending.
     widths : array, shape (n, S), rad/s
@@ -458,7 +460,7 @@ class WarmUp(Shown):
         for entry in fields(self):
             values = still(getattr(self, entry.name), f"{entry.name} of the warm-up")
             if values.ndim != 1 or values.shape != np.shape(self.of_coulomb) or not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {entry.name} of one number per joint, got shape {values.shape}.")
+                raise ShapeError(f"Expected finite {entry.name} with one number per joint, got shape {values.shape}.")
             object.__setattr__(self, entry.name, values)
         if np.any(self.time < 0) or np.any(self.power <= 0) or np.any(self.start < 0):
             raise ShapeError("Expected time >= 0, power > 0 and start >= 0 for the warm-up, got other values.")

@@ -24,7 +24,7 @@ _FRAMES = ("base", "tool")
 class ForceSensor(Shown):
     """Force sensor at the tool, with its load and bias.
 
-    Without contact it reads, in its own axes, ``f = s m g_s + b_f`` and ``tau = c x (s m g_s) + b_tau``, with
+    Without contact, the sensor reads, in its own axes, ``f = s m g_s + b_f`` and ``tau = c x (s m g_s) + b_tau``, with
     ``g_s = R_tool_sensor^T R_base_tool^T g``.
 
     Attributes
@@ -155,7 +155,7 @@ def _poses(T_base_tool: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Accelerometer(Shown):
-    """Accelerometer on the tool; at rest it measures g upwards.
+    """Accelerometer on the tool; at rest, its reading is g, directed upwards.
 
         y = scale R_tool_sensor^T R_base_tool^T (a - g) + b
 
@@ -338,6 +338,7 @@ class HandEye(Shown):
             known = [other for other, pose in zip(names, (self.X, self.Y)) if pose is not None]
             raise FrameError(
                 f"Expected a pose of setup {self.setup!r}, {' or '.join(known)}, got {name}. "
-                "Use one of these or calibrate the other setup. A marker of unknown shape has points but no pose."
+                "Use one of these poses, or calibrate the other setup. "
+                "A marker of unknown shape has points but no pose."
             )
         return value

@@ -36,7 +36,7 @@ from armlab.robots.comparison import check_same
 
 @dataclass(frozen=True, eq=False)
 class CoupledMotors:
-    """K motors of an arm of n joints.
+    """K coupled motors of an arm with n joints.
 
     `ratios`: (K, n) rows c_k. `inertia`: (K,) [kg m^2]. `viscous`: (K,) [N m s/rad]. `coulomb`: (K,) [N m].
     `smooth_speed`: (K,) [rad/s].
@@ -76,7 +76,7 @@ class CoupledMotors:
 class CoupledKernel:
     """Estimator kernel whose torque input excludes the torques of coupled motors.
 
-    The acceleration is computed from the velocity difference to the last valid sample, as in the kernel itself.
+    The acceleration is computed from the velocity change since the last valid sample, as in the kernel itself.
 
     `kernel`: kernel with step, run and reset for a model without the motors. `gains`: (n,) ratio of measured to true
     torque.
@@ -149,7 +149,9 @@ class Quality(Shown):
         for name in ("torque_sd", "rms", "rms_cv", "coverage"):
             values = still(getattr(self, name), f"{name} of the quality")
             if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
-                raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Repeat the fit.")
+                raise ShapeError(
+                    f"Expected {name} with one number per joint, got shape {values.shape}. Repeat the fit."
+                )
             object.__setattr__(self, name, values)
 
 
@@ -157,7 +159,7 @@ class Quality(Shown):
 
 
 SPEED_EDGES = np.array([0.0, 0.01, 0.03, 0.1, 0.3, 1.0])
-"""Lower edges of the speed bins as shares of the peak speed in training; the last bin exceeds the training range."""
+"""Lower edges of the speed bins as shares of the peak speed in training; the last bin is beyond the training range."""
 SPEED_EDGES.flags.writeable = False
 
 
@@ -209,7 +211,7 @@ class TorqueModel(Shown):
     base_names, base_values, base_cov : identified base parameters with their covariance for given gains.
     gains : (n,) measured over true torque; default: 1.
     gain_cov : (n, n) covariance of the gains; default: 0.
-    load_sd : (n,) standard deviation of the load friction; default: 0. `contact_doubt` combines it with the
+    load_sd : (n,) standard deviation of the load friction; default: 0. `contact_doubt` combines this deviation with the
         uncertainty of the gains.
     quality : quality of the fit.
     training : ranges of the training data.
@@ -287,7 +289,9 @@ class TorqueModel(Shown):
         columns = known.columns
         inside = (columns >= 0) & (columns < (11 + OF_FRICTION) * n) & (columns == np.floor(columns))
         if len(known.mean) != n or not inside.all():
-            raise ShapeError(f"Expected parameters among those of {n} joints, got other columns. Repeat the fit.")
+            raise ShapeError(
+                f"Expected parameter columns that belong to {n} joints, got other columns. Repeat the fit."
+            )
         _ = self.drive  # rejects terms with a different number of joints
 
     def _repr_html_(self) -> str:
@@ -355,7 +359,8 @@ class TorqueModel(Shown):
         """Return the model with the frames, gravity and name of another description of the arm (tool, mount, limits).
 
         Identified parameters are kept. The result is exact if only limits, tool or names differ. With a different
-        mount, it is exact only if the motion determined all inertial parameters. It is wrong if link lengths differ.
+        mount, the result is exact only if the motion determined all inertial parameters. The result is wrong if link
+        lengths differ.
 
         Parameters
         ----------
@@ -393,7 +398,7 @@ class TorqueModel(Shown):
     def torque(
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None, dt: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the torque (N, n) [N m] measured along a record without contact: true torque times the gains.
+        """Return the predicted torque reading (N, n) [N m] along a record without contact: true torque times gains.
 
         The presliding state evolves over the rows, starting at 0. A row with a NaN yields NaN and does not change the
         state.

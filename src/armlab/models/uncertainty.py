@@ -1,4 +1,4 @@
-"""Uncertainty of a torque model: noise over velocity, noise of momentum estimators, covariance of its parameters."""
+"""Uncertainty of a torque model: velocity-dependent noise, momentum-estimator noise, and parameter covariance."""
 
 from __future__ import annotations
 
@@ -114,8 +114,9 @@ class MomentumNoise:
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
     standard deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque
-    covariance for a 2-sigma coverage of 95.4 % on held-out data. The observer's factor refers to its residual. The
-    filter's factor is at least 1 and refers to its wrench after a known wrench is added to the torques.
+    covariance for a 2-sigma coverage of 95.4 % on held-out data. The observer's factor is calibrated on its residual.
+    The filter's factor is at least 1 and is calibrated on its wrench estimate after a known wrench is added to the
+    torques.
     """
 
     memory: np.ndarray
@@ -150,7 +151,7 @@ class ParameterCovariance:
     """Covariance of the identified parameters for given gains, including drift until the next log.
 
     The estimator adds the torque variance that exceeds the `mean` (n,) [(N m)^2] on the identified motion, because the
-    torque covariance already contains the mean. `columns`: (P,) column of each parameter among those of the links
+    torque covariance already contains the mean. `columns`: (P,) index of each parameter among the columns of the links
     (10 n), of the rotors (n), and of the friction of each joint (7 n): viscous, Coulomb of either direction, offset,
     Stribeck, root, load. `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
     """
@@ -183,7 +184,7 @@ class ParameterCovariance:
         return half + np.tril(half, -1).T
 
     def kernel_rows(self, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale`: factor of the links."""
+        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale`: link-parameter factor."""
         n = len(self.mean)
         columns, cov = self.columns.astype(int), self.cov
         weight = np.where(columns < 10 * n, scale, 1.0)

@@ -109,7 +109,9 @@ def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
     if array.ndim < 1 or array.shape[-1] != n:
         raise ShapeError(f"Expected {what} with {n} coordinates on its last axis, got shape {array.shape}.")
     if not np.isfinite(array).all():
-        raise ShapeError(f"Expected a finite {what}, got {array}. Omit it to use the value of the demonstration.")
+        raise ShapeError(
+            f"Expected a finite {what}, got {array}. Omit this argument to use the value of the demonstration."
+        )
     return array
 
 

@@ -64,12 +64,12 @@ def force_sensor(
 ) -> int:
     """Identify the axes, load and bias of a force sensor from readings at rest in many orientations.
 
-    A file contains the poses T_base_tool, as for hand-eye, and either force1 ... force3 or wrench_raw1 ... wrench_raw6
-    (with torques) in sensor axes [N, N m]. A MAT file contains force (N, 3) or wrench_raw (N, 6).
+    Each file contains the poses T_base_tool, as for hand-eye calibration, and either force1 ... force3 or wrench_raw1
+    ... wrench_raw6 (with torques) in sensor axes [N, N m]. A MAT file contains force (N, 3) or wrench_raw (N, 6).
 
     Parameters:
         wrench: Name of the column with the readings; default: see above.
-        gravity: Gravity in base axes [m/s^2]; default: downwards.
+        gravity: Gravity vector in base axes [m/s^2]; default: pointing down.
         unknown_gravity: Also identify the direction of gravity.
         sign: 1 if the sensor measures the weight of its load, -1 if it measures the reaction.
         mass: Known mass of the load [kg].
@@ -106,11 +106,11 @@ def accelerometer(
 ) -> int:
     """Identify the axes and bias of a tool-mounted accelerometer from readings at rest in many orientations.
 
-    A file contains the poses T_base_tool, as for hand-eye, and the acceleration acc1, acc2, acc3 in sensor axes
-    [m/s^2], which points upwards at rest. A MAT file contains acc (N, 3).
+    Each file contains the poses T_base_tool, as for hand-eye calibration, and the acceleration acc1, acc2, acc3 in
+    sensor axes [m/s^2], which points upwards at rest. A MAT file contains acc (N, 3).
 
     Parameters:
-        gravity: Gravity in base axes [m/s^2]; default: downwards.
+        gravity: Gravity vector in base axes [m/s^2]; default: pointing down.
         scale: Also identify the scale of the readings.
         noise: Known standard deviation of a reading [m/s^2].
         robust: Detect samples in motion and exclude them.
@@ -136,8 +136,8 @@ def laser(
 ) -> int:
     """Calibrate a tool-mounted line scanner from scans of flat plates.
 
-    A file contains the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y and direction x, y
-    in the laser plane), and the plate number in the column plane.
+    Each file contains the poses T_base_tool, as for hand-eye calibration, the lines scans1 ... scans4 (point x, y and
+    direction x, y in the laser plane), and the plate number in the column plane.
 
     Parameters:
         noise: Known standard deviations of a point [m] and a line angle [rad].

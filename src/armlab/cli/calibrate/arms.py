@@ -28,7 +28,7 @@ Harmonics = Annotated[
 ]
 Weak = Annotated[
     Literal["refuse", "prior"],
-    Parameter(help="Handling of unidentifiable directions: refuse the fit, or fix them by a prior."),
+    Parameter(help="Handling of unidentifiable directions: refuse the fit, or fix them with a prior."),
 ]
 Robust = Annotated[bool, Parameter(help="Detect and exclude outliers.")]
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
@@ -49,10 +49,10 @@ def kinematics(
 ) -> int:
     """Calibrate an arm from joint positions and measured poses, positions or distances of its tool.
 
-    A file contains q1 ... qn and at least one kind of measurement: the pose (as for hand-eye), position1 ...
-    position3, distance, or pair_distance. A distance is measured from a fixed point. A pair_distance is measured from
-    the tool position in another sample of the same file, whose number (from 0) is pair_with. Leave missing measurements
-    empty.
+    Each file contains q1 ... qn and at least one kind of measurement: the pose (as for hand-eye calibration), position1
+    ... position3, distance, or pair_distance. A distance is measured from a fixed point. A pair_distance is measured
+    from the tool position in another sample of the same file; pair_with is the number of that sample, counted from 0.
+    Leave missing measurements empty.
 
     Parameters:
         robot: Library name or robot file of the nominal arm.
@@ -107,9 +107,9 @@ def dual_arm(
 ) -> int:
     """Calibrate two arms and their relative base pose from measurements of one arm's tool by the other arm.
 
-    A file contains simultaneous joint positions q_a1 ... q_an and q_b1 ... q_bn, and the pose of tool b relative to
-    tool a, as for hand-eye, or its position1 ... position3. The optional pose absolute_a is the pose of tool a as
-    measured by an external device.
+    Each file contains simultaneous joint positions q_a1 ... q_an and q_b1 ... q_bn, and the pose of tool b relative to
+    tool a, as for hand-eye calibration, or its position1 ... position3. The optional pose absolute_a is the pose of
+    tool a measured by an external device.
 
     Parameters:
         robot_a: Library name or robot file of the measuring arm (nominal).

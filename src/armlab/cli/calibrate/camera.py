@@ -1,4 +1,5 @@
-"""``armlab calibrate hand-eye``: samples, two synchronised files, topics of a ROS bag, or images of a board."""
+"""``armlab calibrate hand-eye``: calibration from samples, two synchronised files, topics of a ROS bag, or images of a
+board."""
 
 from __future__ import annotations
 
@@ -243,7 +244,7 @@ def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | 
 
 
 def at_times(T: np.ndarray, t: np.ndarray, times: np.ndarray, join: Join, gap: float | None, what: str) -> np.ndarray:
-    """Return the nearest or interpolated poses (M, 4, 4) at `times`; NaN if no pose is near enough in time."""
+    """Return the nearest or interpolated poses (M, 4, 4) at `times`; NaN if no pose is close enough in time."""
     import numpy as np
 
     from armlab.log.column import pose_between

@@ -1,4 +1,4 @@
-"""Calibration samples from CSV, MAT or MCAP files, their joint fit, and its report."""
+"""Read calibration samples from CSV, MAT or MCAP files, fit them jointly, and report the result."""
 
 from __future__ import annotations
 
@@ -202,8 +202,8 @@ def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
     """Return poses (N, 4, 4) from rows of position [m] and rotation in the given format; empty rows give NaN.
 
     wxyz, xyzw: quaternion. rotvec: rotation vector, as in OpenCV and UR. rpy: roll, pitch, yaw with R = Rz(yaw)
-    Ry(pitch) Rx(roll), as in ROS and URDF. euler_zyx: angles a, b, c with R = Rz(a) Ry(b) Rx(c); euler_xyz and
-    euler_zyz likewise. matrix: 16 numbers, row by row. The suffix _deg means degrees.
+    Ry(pitch) Rx(roll), as in ROS and URDF. euler_zyx: angles a, b, c with R = Rz(a) Ry(b) Rx(c); similarly for
+    euler_xyz and euler_zyz. matrix: 16 numbers, row by row. The suffix _deg means degrees.
     """
     import numpy as np
 
@@ -239,7 +239,8 @@ def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
 
 
 def _check_units(path: Path, labels: Sequence[str]) -> None:
-    """Reject a quantity with units for only some components: these would be read in different units."""
+    """Reject a quantity whose units are given for only some components, because its components would be read in
+    different units."""
     groups: dict[str, set[bool]] = {}
     for label in labels:
         found = _TOGETHER.match(label.split("[")[0].strip())

@@ -1,4 +1,4 @@
-"""Playback of all kinds of movement primitives on an arm or as a table."""
+"""Play movement primitives of all kinds on an arm, or write their motions to a table."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "pose_dmp": ("duration", "start", "goal"),
     "periodic_dmp": ("duration", "goal", "amplitude", "turns"),
 }
-"""Run options of each kind of primitive."""
+"""Playback options for each kind of primitive."""
 DT = 0.004  # s
 SOFT = 2.0  # rad/s^2 or m/s^2, acceleration of the motion to the start
 SETTLES = 1.0  # s, settling time after the motion
@@ -37,7 +37,7 @@ TURNS = 4.0  # default number of periods of a periodic motion
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """Controller of a motion, with its start configuration q_start (n,) and its duration [s]."""
+    """Controller that executes a motion, with its start configuration q_start (n,) and its duration [s]."""
 
     controller: Controller
     q_start: np.ndarray
@@ -56,7 +56,7 @@ def numbers_in(text: str | None, option: str) -> np.ndarray | None:
 
 @as_given()
 def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the primitive with its via-points, and the remaining options of its run.
+    """Return the primitive with its via-points, and the remaining options for its run.
 
     A distribution over motions is replaced by a primitive for its mean, conditioned on start, goal and via-points.
     `given` contains the value of each option, or None; via-points are strings "TIME:Y,Y,...".
@@ -126,7 +126,8 @@ def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
 
 
 def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
-    """Return the distance of an arm at q (n,) from a goal by unit: m and rad for a pose (4, 4), rad for joints (n,)."""
+    """Return the distance of an arm at q (n,) from a goal, keyed by unit: m and rad for a pose (4, 4), rad for joints
+    (n,)."""
     if goal.ndim == 1:
         return {"rad": float(np.abs(q - goal).max())}
     T_base_tool = armlab.kinematics.forward(robot, q)
@@ -135,7 +136,7 @@ def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
 
 
 def report_motion(robot: Robot, controller: Any, seconds: float, done: armlab.bridge.Run, json: bool) -> None:
-    """Print the reason for the end of a motion, its distance from the goal, and the problems of the run."""
+    """Print why a motion ended, its final distance from the goal, and any problems during the run."""
     off = distance(robot, done.table["q"][-1], controller.goal)
     reason = "arrived" if controller.done else controller.reason or done.reason
     if json:

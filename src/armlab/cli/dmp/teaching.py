@@ -1,4 +1,4 @@
-"""Fits of all kinds of movement primitives to demonstrations in logs."""
+"""Fit movement primitives of all kinds to demonstrations in logs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class MotionWindow:
-    """Segment of a log from `start` to `end` [s], without the standstill before and after the motion unless `whole`."""
+    """Segment of a log from `start` to `end` [s], without the standstill before and after the motion unless `whole` is
+    set."""
 
     start: float | None = None
     end: float | None = None

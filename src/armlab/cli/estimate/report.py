@@ -164,7 +164,7 @@ def _whole(found: Verdict, table: Table) -> None:
         total = sum(seconds for _, seconds in holes)
         found.bad.append(
             f"{'Gap' if len(holes) == 1 else f'{len(holes)} gaps'} in the log: {named}{more}; {total:.3g} s in total. "
-            "Contacts during gaps are missed, and the estimate restarts after a gap of more than five periods."
+            "Contacts during gaps are missed, and the estimate restarts after a gap of more than five sample periods."
         )
 
 
@@ -175,7 +175,7 @@ def _flags(found: Verdict, table: Table) -> None:
     share = {flag: float(np.mean((flags & flag) != 0)) for flag in (STUCK, INFEASIBLE, SINGULAR)}
     if share[SINGULAR]:
         found.bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
-        found.ahead.append("For such poses, choose a method with a prior (map, bounded).")
+        found.ahead.append("For singular poses, choose a method with a prior (map, bounded).")
     if share[STUCK] > OFTEN:
         found.bad.append(
             f"In {100 * share[STUCK]:.0f} % of the rows, every joint torque is within its friction bound, which may "
@@ -199,12 +199,15 @@ def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) 
     if away := armlab.identify.extrapolation(model, table.dropna("q", "qd")).warnings:
         found.bad += away
         found.ahead.append(
-            "Repeat the identification with motions in this range; until then, use these forces with care."
+            "Repeat the identification with motions that cover the range "
+            "of this log; until then, use the estimated forces with care."
         )
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
     beyond = [AXES[i] for i in range(6) if largest[i] > 2]
     if beyond:
-        found.bad.append(f"Estimates larger than twice the prior: {', '.join(beyond)}. They are biased towards zero.")
+        found.bad.append(
+            f"Estimates larger than twice the prior: {', '.join(beyond)}. These estimates are biased towards zero."
+        )
         found.ahead.append("Increase --prior-force or --prior-moment.")
 
 

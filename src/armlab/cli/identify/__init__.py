@@ -46,12 +46,11 @@ def identify(
         method: irls: robust (iteratively reweighted least squares). lts: robust (least trimmed squares, ignoring the
             worst quarter of the segments). wls, ols: not robust, with or without a weight per joint.
         gravity_only: Identify only gravity and friction, from a log of slow motion (accelerations below 1 rad/s^2). Use
-            this for an arm that must not move fast; the model is sufficient for contact forces in slow motion. Default:
-            also identify inertia, which needs a log of fast motion.
-        drives: Also identify torque ripple, position-dependent friction and (with logs of at least 20 minutes) warm-up
-            per joint. Only terms that reduce the held-out residual are kept.
-        cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by cross-validation (see the report).
-        test: Another recording without contact, to test the model.
+            this option for an arm that must not move fast; the model is sufficient for contact forces in slow motion.
+            Default: also identify inertia, which needs a log of fast motion. drives: Also identify torque ripple,
+            position-dependent friction and (with logs of at least 20 minutes) warm-up per joint. Only terms that reduce
+            the held-out residual are kept. cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by
+            cross-validation (see the report). test: Another recording without contact, to test the model.
     """
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
@@ -72,7 +71,7 @@ def identify(
         fit_model = armlab.identify.fit_gravity if gravity_only else armlab.identify.fit_dynamics
         fit = fit_model(tables, arm, method=method, progress=tell, cutoff=cutoff, force=wanted.force)
         if drives:
-            tell(4, 5, "ripple, friction over position, warm-up")
+            tell(4, 5, "ripple, position-dependent friction, warm-up")
             fit = _with_drives(fit, tables)
     trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = report_of.judge(fit, arm, tables, trial)

@@ -101,7 +101,9 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     else:
         worst = arm.joint_names[joints[left.argmax()]]
         found.bad.append(f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque SD unexplained.")
-        found.ahead.append("Check the torques in the log and that the model is of this arm with its current tool.")
+        found.ahead.append(
+            "Check the torques in the log, and make sure that the model describes this arm with its current tool."
+        )
     found.bad += fit.doubts
     found.ahead += armlab.identify.extrapolation(model, table).warnings
     found.ahead.append(

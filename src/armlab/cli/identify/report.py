@@ -88,12 +88,12 @@ def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None
     if poor.any():
         found.bad.append(f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque SD is unexplained.")
         found.ahead.append(
-            f"Inspect the residuals of {_joints(poor)}: a pattern over speed indicates friction, and a pattern over "
-            "position indicates ripple or a moving load."
+            f"Inspect the residuals of {_joints(poor)}: a dependence on speed indicates "
+            "friction, and a dependence on position indicates ripple or a moving load."
         )
     worse = quality.rms_cv > WORSE * quality.rms
     if worse.any():
-        found.bad.append(f"{_joints(worse)}: much worse on held-out data. The logs are too short.")
+        found.bad.append(f"{_joints(worse)}: much larger residual on held-out data. The logs are too short.")
         found.ahead.append("Record longer logs or several motions: these logs do not determine all parameters.")
     if trial.unseen:
         worse = trial.share > WORSE * held_out
@@ -101,7 +101,8 @@ def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None
         if worse.any():
             found.bad.append(f"{_joints(worse)}: worse in the test log (residual {said}) than in held-out blocks.")
             found.ahead.append(
-                "Record motions like those in the test log: the training data lack its speeds, poses or load."
+                "Record motions like those in the test log: the training "
+                "data do not cover the speeds, poses or load of that log."
             )
         else:
             found.good.append(f"Test log: residual {said}, as in held-out blocks.")
@@ -144,7 +145,7 @@ def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> Non
         if ends:
             found.bad.append(f"The covariance scale of a momentum method is at its bound {max(ends):g}.")
     sentence = f"Without contact, the estimated force in the {where} is {force} N RMS in x, y, z instead of zero"
-    inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
+    inside = f"{100 * trial.coverage:.0f} % within 2 sigma"
     (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
     friction = model.friction
     wrong = (friction.viscous < 0) | (friction.coulomb_pos < 0) | (friction.coulomb_neg < 0) | (model.rotor < 0)
@@ -168,7 +169,7 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
     if narrow.any():
         found.ahead.append(
             f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: the model extrapolates "
-            "outside these ranges. Record motions there before using the model there."
+            "outside these ranges. Record motions outside these ranges before using the model there."
         )
     qd = np.concatenate([np.abs(table["qd"]) for table in tables])
     hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
@@ -244,7 +245,7 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table,
 
 
 def _residual_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
-    rows = [["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]]
+    rows = [["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "within 2 sigma [%]"]]
     rows[0] += ["sigma at rest [N m]", "in motion [N m]", "gamma [s/rad]"]
     for joint in numbers(fit, trial)["joints"]:
         shares = [joint[name] for name in ("share_fit", "share_held_out", "share_test", "coverage")]
@@ -313,7 +314,7 @@ def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Draw
         (
             "Force without contact",
             "Estimated wrench against time with a 2-sigma band; the true wrench is zero",
-            f"{shown} with the estimator. The band should contain zero 95 % of the time.",
+            f"{shown}, processed by the estimator. The band should contain zero 95 % of the time.",
             lambda: armlab.plots.wrench(estimate),
         ),
         (

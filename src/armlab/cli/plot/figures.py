@@ -338,7 +338,8 @@ def two_dof(
     read = armlab.log.read(log)
     if "path_error" not in read:
         raise LogError(
-            f"Expected a two-degree-of-freedom run in {log}, got none of its columns. Record a run without --firm."
+            f"Expected a two-degree-of-freedom run in {log}, got a log "
+            "without the columns of such a run. Record a run without --firm."
         )
     spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
     if any(span is None or len(span) != 2 for span in spans):

@@ -100,7 +100,8 @@ class LogPart:
         part, last = whole.between(low, high), whole.t[-1]
         if not len(part):
             raise LogError(
-                f"Expected rows of {path} from {low:g} to {high:g} s, got no rows: it ends at {last:.3f} s. Correct "
+                f"Expected rows of {path} from {low:g} to {high:g} s, "
+                f"got no rows: the log ends at {last:.3f} s. Correct "
                 "--start or --end."
             )
         return part
@@ -111,7 +112,7 @@ class LogPart:
         if column not in read:
             raise LogError(
                 f"Expected an estimated wrench in {path}, column {column}, got {', '.join(read.names)}. "
-                "Create one: armlab estimate ROBOT LOG --model MODEL -o force.mcap."
+                "Create an estimate: armlab estimate ROBOT LOG --model MODEL -o force.mcap."
             )
         return read
 

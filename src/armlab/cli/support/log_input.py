@@ -69,7 +69,7 @@ def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
 
 @contextmanager
 def by_force(force: bool) -> Iterator[None]:
-    """Add advice about --force to a robot mismatch raised in the block; with `force`, only print the mismatch."""
+    """Add advice about --force to a robot-mismatch error raised in the block; with `force`, only print the error."""
     try:
         yield
     except ModelMismatchError as error:
@@ -145,8 +145,8 @@ def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
     """Return errors for velocities that are not the derivatives of the positions, and for implausible torques.
 
-    `identify.prepare` rejects such logs. Logs for estimation may contain standstill, so this check uses only the motion
-    in the longest segment without a gap. The table has q, qd and tau (N, n).
+    `identify.prepare` rejects logs with these errors. Logs for estimation may contain standstill, so this check uses
+    only the motion in the longest segment without a gap. The table has q, qd and tau (N, n).
     """
     from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline

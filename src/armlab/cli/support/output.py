@@ -79,7 +79,7 @@ def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequen
 
 
 def _holds(outer: Path, inner: Path) -> bool:
-    """Return whether the outer file or folder is or contains the inner one, after resolving links."""
+    """Return whether the outer path is the inner path or contains it, after resolving links."""
     place = inner.resolve()
     return any(outer.samefile(one) for one in (place, *place.parents))
 

@@ -59,7 +59,7 @@ class LoadedSettings:
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
-    """Return the effective settings in this folder; `environment` defaults to that of the process."""
+    """Return the effective settings in this folder; `environment` defaults to the environment of the process."""
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     origins = dict.fromkeys(UserSettings.__struct_fields__, "default")

@@ -1,8 +1,8 @@
 """Drive terms in addition to the friction of `fit_dynamics`, fitted to its residuals and kept if they improve the fit.
 
-The terms are warm-up (if one log lasts 20 minutes or more), torque ripple, and friction over position and speed. Each
-term is fitted per joint to the unfiltered residual of the preceding terms. Ripple with a period above twice the spacing
-of the centres is left to the friction map. Theory: docs/theory/friction.md.
+The terms are warm-up (if one log lasts 20 minutes or more), torque ripple, and friction as a function of position and
+speed. Each term is fitted per joint to the unfiltered residual of the preceding terms. Ripple with a period above twice
+the spacing of the centres is left to the friction map. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class _DrivePart:
 
 @dataclass(frozen=True, eq=False)
 class _JointRows:
-    """Decimated rows of one joint; for each row, the index of its half second and of its fifth of the log."""
+    """Decimated rows of one joint; for each row, the index of its half-second interval and of its fifth of the log."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -155,7 +155,8 @@ class _JointRows:
         return _JointRows(*parts, self.rate, self.step)
 
     def blocks(self, left: np.ndarray) -> np.ndarray:
-        """Return the block number (M,) of each row, for at least 20 blocks longer than the residual autocorrelation."""
+        """Return the block number (M,) of each row; blocks are longer than the residual autocorrelation, but there are
+        at least 20 of them."""
         count = int(np.ceil(block_seconds(left[:, None], self.step) / SHORTEST))
         return self.half // max(1, min(count, (int(self.half[-1]) + 1) // MOST_OF))
 
@@ -166,13 +167,15 @@ class _JointRows:
         return refit(A, y, self.blocks(y - A @ ridge_solution(A, y, ridge)[0]), ridge, slopes)
 
     def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
-        """Fit coefficients (5, p) without each fifth to `others` (5, M), the residuals of models without that fifth."""
+        """Fit coefficients (5, p), each leaving out one fifth, to `others` (5, M), the residuals of models fitted
+        without that fifth."""
         used = [self.fifth != number for number in range(FIFTHS)]
         return np.array([ridge_solution(A[use], y[use], ridge)[0] for use, y in zip(used, others)])
 
 
 def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """Fit warm-up, torque ripple and friction over position to model residuals, and keep the terms that reduce them.
+    """Fit warm-up, torque ripple and position-dependent friction to model residuals, and keep the terms that reduce
+    them.
 
     Parameters
     ----------
@@ -184,9 +187,9 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[Torque
     -------
     Fit of `models.TorqueModel`: the model with the terms that improve it, or the unchanged model. Torque covariance
     and quality are reassessed: terms fitted without a fifth of the log are validated on that fifth. If the given model
-    was identified from the same log, its excess error on held-out rows is added. Parameters are the coefficients of the
-    terms, in N m, and the lines; their covariance combines the scatter of blocks and the bias of the ridge. For the
-    parameters of warm-up, see `fit_warm_up`.
+    was identified from the same log, its excess error on held-out rows is added. The parameters are the coefficients of
+    the terms, in N m, and the ripple lines; their covariance combines the scatter between blocks and the ridge bias.
+    For the parameters of warm-up, see `fit_warm_up`.
 
     Raises
     ------
@@ -243,7 +246,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[Torque
 
 
 def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
-    """Return the highest line (n,) to search for each joint; warn of aliasing above this line."""
+    """Return the highest ripple line (n,) to search for in each joint; warn of aliasing above this line."""
     wanted = HIGHEST * model.ripple.cycles
     seen = np.array([highest_seen(column, rate) for column in qd.T])
     hidden = np.flatnonzero(seen < wanted)
@@ -260,10 +263,10 @@ def _ripple(
     peak: float,
     name: str,
 ) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
-    """Return the selected lines of one joint with their coefficients and their Gaussians in speed.
+    """Return the selected lines of one joint with their coefficients and their Gaussian kernels in speed.
 
-    Lines are selected in `clean`, the residual of friction over position, and fitted to the rows in which no line
-    aliases; this limits the range of the Gaussians.
+    Lines are selected from `clean`, the residual after position-dependent friction, and fitted to the rows in which no
+    line aliases. These rows limit the speed range of the Gaussians.
     """
     cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):

@@ -187,7 +187,7 @@ def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[f
 def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
     """Return the mask (G,) of the groups selected by a group lasso.
 
-    The penalty is the largest of 20 whose held-out error is within one standard deviation of the smallest.
+    The penalty is the largest of 20 candidates whose held-out error is within one standard deviation of the smallest.
     """
     fold = block % FOLDS
     parts = [LassoSums.of(A[fold == k], y[fold == k]) for k in range(FOLDS)]

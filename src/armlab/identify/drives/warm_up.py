@@ -1,10 +1,10 @@
-"""Warm-up of drive friction from a long log, without a temperature sensor (law: `WarmUp`).
+"""Warm-up of drive friction, identified from a long log without a temperature sensor (law: `WarmUp`).
 
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
 with c the Coulomb torque of the model. For a given time constant and initial thermal state, x follows from the friction
-power, and all other parameters are linear. Power and x converge in three iterations. The model keeps x constant within
-a second, so only sums per second are stored for a log.
+power, and all other parameters are linear. The friction power and x converge in three iterations. The model keeps x
+constant within a second, so only sums per second are stored for a log.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueM
 
     Returns
     -------
-    Fit of `models.TorqueModel` with a new torque covariance and quality; see `fit_friction`. It has eight parameters
-    per joint with warm-up; their covariance comes from the scatter of segments longer than the residual
+    Fit of `models.TorqueModel` with a new torque covariance and quality; see `fit_friction`. The fit has eight
+    parameters per joint with warm-up; their covariance comes from the scatter of segments longer than the residual
     autocorrelation.
 
     Raises
@@ -195,7 +195,8 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueM
 
 
 def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the relative reduction of the held-out squared error by warm-up, and the leave-one-fold-out parameters."""
+    """Return the relative reduction in the held-out squared error due to warm-up, and the leave-one-fold-out
+    parameters."""
     plain, warm, thetas = 0.0, 0.0, []
     zero = np.zeros(len(sums.rows))
     for k in range(FIFTHS):
@@ -240,7 +241,7 @@ def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.nda
 
 
 def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
-    """Return the least-squares parameters by Gauss-Newton, including how they change the thermal state."""
+    """Return the least-squares parameters by Gauss-Newton, accounting for their effect on the thermal state."""
     every = np.ones(len(sums.rows))
     least = _left(sums, theta, reference, every)
     for _ in range(STEPS):

@@ -83,7 +83,8 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
     about = _read_map(map)
     if path.is_file() and not is_text(path):
         raise LogError(
-            f"Expected a text file at {path}, got a binary one. Export text from ABB's signal viewer, the only program "
+            f"Expected a text file at {path}, got a binary file. "
+            "Export text from ABB's signal viewer, the only program "
             "that can read its binary files."
         )
     robot, signals = _of_arm(about, map, arm)
@@ -122,7 +123,7 @@ def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, 
     if not all(names) or not names:
         raise ConfigError(
             f"Expected an arm for every column of {path}, but some columns have none. "
-            'Add it to the map: arm = "yumi_left".'
+            'Add the arm to the map: arm = "yumi_left".'
         )
     if arm is None and len(names) > 1:
         raise ConfigError(f"Expected the name of one arm (arm=) for {path}, which has the arms {', '.join(names)}.")
@@ -247,7 +248,8 @@ def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.
         if match and int(match[1]) < robot.n:
             if int(match[1]) in found:
                 raise LogError(
-                    f"Expected one {signal} per joint, got {found[int(match[1])]} and {name}. Drop one of them."
+                    f"Expected one {signal} per joint, got {found[int(match[1])]} "
+                    f"and {name}. Drop one of these columns."
                 )
             found[int(match[1])] = name
     if not found:

@@ -101,11 +101,11 @@ class ColumnNames:
         return cls(entries, frozenset(optional), tuple(presets))
 
     def of_several_files(self) -> ColumnNames:
-        """Return the names for a set of files that each contain some of the columns."""
+        """Return the names with every column optional, for sets of files that each contain only some columns."""
         return replace(self, optional=frozenset(self.entries), presets=())
 
     def found(self, path: Any, arrays: Arrays) -> tuple[dict[str, tuple[np.ndarray, str]], dict[str, tuple[str, ...]]]:
-        """Return the arrays under their new names, and joint labels by column."""
+        """Return the arrays keyed by new name, and the joint labels of each column."""
         used: set[str] = set()
         made: dict[str, tuple[np.ndarray, str]] = {}
         labels: dict[str, tuple[str, ...]] = {}
@@ -191,7 +191,7 @@ def fitting_presets(arrays: Arrays) -> str:
         with suppress(LogError):
             if all(any(_matches(one, arrays) for one in _sources(name, entries[name])) for name in ("t", "q")):
                 fitting.append(f"--columns {preset}")
-    return f"Read these names with {' or '.join(fitting)}." if fitting else ""
+    return f"Read these column names with {' or '.join(fitting)}." if fitting else ""
 
 
 def _entries(told: str | Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -242,7 +242,7 @@ def _split(text: str, mark: str) -> list[str]:
 
 
 def _listed(pattern: str) -> Iterable[str]:
-    """Return the names of a pattern; ``{0..}`` and ``{*}`` remain."""
+    """Expand a pattern into names; ``{0..}`` and ``{*}`` are left unexpanded."""
     found = _first_braces(pattern)
     if found is None:
         return [pattern] if pattern else []
@@ -269,7 +269,7 @@ def _first_braces(pattern: str) -> tuple[str, str, str] | None:
 
 
 def _matches(source: _Source, arrays: Arrays) -> tuple[_Source, list[str], tuple[str, ...]] | None:
-    """Return the source with the names found in the file, and the joints matched by ``{*}``."""
+    """Return the source with its names replaced by those found in the file, and the joints matched by ``{*}``."""
     members: list[str] = []
     stars: list[str] = []
     for pattern in source.names:

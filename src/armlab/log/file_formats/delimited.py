@@ -118,7 +118,9 @@ def read_sidecar(path: Path) -> Description | None:
         raise LogError(f"Expected to read {beside}, got: {error.strerror}.") from None
     except (ValueError, msgspec.ValidationError) as error:
         what = str(error).rstrip(".")
-        raise LogError(f"Expected the columns of {path.name} in {beside}, got: {what}. Remove or correct it.") from None
+        raise LogError(
+            f"Expected the columns of {path.name} in {beside}, got: {what}. Remove or correct this file."
+        ) from None
 
 
 BLOCK = 1 << 18  # bytes of text per block
@@ -165,8 +167,8 @@ def read_csv(
 
     Raises
     ------
-    LogError : the file, its header or its clock is missing, or the file is not text. Also if it has lines of unequal
-        length, an unknown unit, duplicate names or a decimal comma; the message states the line or column.
+    LogError : the file, its header or its clock is missing, or the file is not text. Also raised if the file has lines
+        of unequal length, an unknown unit, duplicate names or a decimal comma; the message states the line or column.
     """
     return text_table(path, rate, skip, separator, every, raw, columns)
 
@@ -181,7 +183,7 @@ def text_table(
     columns: Any = None,
     keep_start: bool = False,
 ) -> Table:
-    """Return the table of `read_csv`; with `keep_start`, t keeps its offset in the file."""
+    """Return the table for `read_csv`; with `keep_start`, t keeps its offset in the file."""
     path, rate = Path(path), None if rate is None else number(rate, "the rate [Hz]", LogError)
     counts = all(isinstance(one, int) and one >= least for one, least in ((skip, 0), (every, 1)))
     single = separator is None or (isinstance(separator, str) and len(separator) == 1)
@@ -235,7 +237,7 @@ def separator_of(path: Path, skip: int = 0) -> str:
 
 
 def _is_data(labels: Sequence[str]) -> bool:
-    """Return whether a line contains data instead of a header: all fields are numbers, or one has a fraction."""
+    """Return whether a line contains data instead of a header: all fields are numbers, or one has a decimal point."""
     are = [label for label in labels if label and _is_number(label) and label.lower() not in ("nan", "inf", "t")]
     return bool(are) and (len(are) == len([one for one in labels if one]) or any("." in one for one in are))
 
@@ -284,7 +286,7 @@ def _numbers_only(path: Path, skip: int, separator: str, width: int) -> list[np.
 
 
 def _decoded(text: bytes, separator: str) -> list[list[Any]]:
-    """Return the fields of some lines; empty fields are None."""
+    """Split lines into fields; empty fields become None."""
     mark = separator.encode()
     if text.translate(None, _NUMERIC.replace(b",", mark)) or separator in ".eE+-0123456789":
         raise ValueError("no numbers")
@@ -297,7 +299,7 @@ def _decoded(text: bytes, separator: str) -> list[list[Any]]:
 
 
 def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
-    """Return the columns of some rows; raise ValueError for unequal row lengths."""
+    """Convert rows to columns; raise ValueError for rows of unequal length."""
     block = np.array(rows, dtype=float).reshape(len(rows), count)
     columns = list(block.T)
     for place in np.flatnonzero((np.abs(block) >= _EXACT).any(axis=0)):

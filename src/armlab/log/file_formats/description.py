@@ -74,7 +74,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return json.dumps({**msgspec.to_builtins(self), **more})
 
     def table(self, path: Path, t: np.ndarray, values: Mapping[str, np.ndarray]) -> Table:
-        """Return a table that was written to a file; the arrays (N, ...) are used without a copy."""
+        """Rebuild a table that was written to a file; the arrays (N, ...) are used without a copy."""
         described = self.described()
         try:
             whole = {
@@ -210,7 +210,7 @@ def labelled_table(
     names: ColumnNames | None = None,
     joints: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> Table:
-    """Return the table of arrays by name, each with its unit.
+    """Build a table from named arrays, each with its unit.
 
     The clock is t or time, or is computed from the `rate` [Hz]. `names` maps other column names; `joints` labels the
     columns. With `keep_start`, t keeps its offset in the file.
@@ -238,7 +238,7 @@ def labelled_table(
 
 
 def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.ndarray | bool, list[str]]:
-    """Return the mask of rows with values in mapped columns; PlotJuggler writes a row per message."""
+    """Return the mask of rows with values in mapped columns; PlotJuggler writes one row per message."""
     mapped = [name for name in names.entries if name != "t" and name in arrays] if names else []
     numbers = [arrays[name][0] for name in mapped if arrays[name][0].dtype.kind == "f"]
     if not numbers or len(numbers) < len(mapped):
@@ -335,7 +335,7 @@ def _place(label: str) -> tuple[str, tuple[int, ...]]:
 
 
 def _whole(group: dict[tuple[int, ...], str]) -> bool:
-    """Return whether the array is complete, with indices from 1."""
+    """Return whether all components of the array are present, with indices counted from 1."""
     most = np.max(list(group), axis=0)
     if math.prod(most.tolist()) != len(group):  # checked before listing all indices of a large array
         return False
@@ -360,7 +360,7 @@ def foreign_table(
     raw: bool = False,
     names: ColumnNames | None = None,
 ) -> Table:
-    """Return a table of named arrays with units; names of the predecessor tools are mapped to those of armlab.
+    """Build a table from named arrays with units; names used by the predecessor tools are mapped to those of armlab.
 
     The clock is t, time or timestamp. Arrays with one sample per column are transposed; arrays of other sizes are
     skipped.
@@ -411,7 +411,7 @@ def _is_vector(array: np.ndarray) -> bool:
 
 
 def _by_rows(array: np.ndarray, rows: int) -> np.ndarray | None:
-    """Return an array with one sample per row, or None if no axis has this length."""
+    """Return an array with one sample per row, or None if no axis matches the number of samples."""
     if array.size == rows and array.ndim <= 2 and rows in array.shape:
         return array.ravel()
     if array.ndim and len(array) == rows:

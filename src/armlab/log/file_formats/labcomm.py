@@ -37,7 +37,7 @@ _TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "strin
 
 @dataclass(slots=True)
 class _Leaf:
-    """Values of one column so far, the row count before each value, and the array dimension of non-empty values."""
+    """Values of one column read so far, the row count before each value, and the array dimension of its values."""
 
     dtype: Any
     values: list[np.ndarray] = field(default_factory=list)
@@ -68,13 +68,13 @@ class _Leaf:
         array = np.asarray(value, dtype=dtype)
         if dtype is not self.dtype:
             if np.str_ in (dtype, self.dtype):
-                raise LogError(f"Expected numbers or strings in {label}, got both. Its sample was declared twice.")
+                raise LogError(f"Expected numbers or strings in {label}, got both. The sample was declared twice.")
             self.dtype = np.result_type(dtype, self.dtype)
         if array.size:
             self.axes = array.ndim if self.axes is None else self.axes
             if self.axes != array.ndim:
                 raise LogError(
-                    f"Expected arrays of {self.axes} dimensions in {label}, got {array.ndim}. Its sample was "
+                    f"Expected arrays with {self.axes} dimensions in {label}, got {array.ndim}. Its sample was "
                     "declared twice."
                 )
         self.values.append(array)
@@ -102,9 +102,9 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
 
     Raises
     ------
-    LogError : the file is missing, is not a LabComm stream, or is malformed (the message states the byte). Also if the
-        stream has no values, no clock or almost empty columns, or declares a sample twice (as numbers and strings, or
-        with arrays of different dimensions).
+    LogError : the file is missing, is not a LabComm stream, or is malformed (the message states the byte). Also raised
+        if the stream has no values, no clock or almost empty columns, or declares a sample twice (as numbers and
+        strings, or with arrays of different dimensions).
     UnknownName : `sample` has no values; the message lists the samples with values.
     ShapeError : `rate` is not a single number.
     """
@@ -231,7 +231,7 @@ def _clock(path: Path, columns: dict[str, np.ndarray], pace: str, rows: int, rat
     if name is None or stamps.ndim != 1 or stamps.dtype.kind not in "if" or not np.isfinite(stamps).all():
         raise LogError(
             f"Expected a clock ({', '.join(_CLOCKS)}) in the sample {pace!r} of {path}, got {', '.join(columns)}. "
-            f"Pass the rate of its values: log.read_labcomm(path, rate=250.0)."
+            f"Pass the rate of this sample: log.read_labcomm(path, rate=250.0)."
         )
     steps = np.diff(stamps, prepend=stamps[:1])
     if name == "tm":

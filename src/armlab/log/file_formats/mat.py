@@ -1,6 +1,6 @@
 """MATLAB files: read arrays of versions 5 to 7.2 and of 7.3 (HDF5, with h5py), and write a `Table` in version 5.
 
-SciPy is not used because it trusts the sizes in a file, so that a corrupt file can crash the process. Format: MATLAB,
+SciPy is not used because it trusts the sizes in a file, so a corrupt file could crash the process. Format: MATLAB,
 "MAT-File Level 5 File Format".
 
 HDF5 stores MATLAB's columns as rows, so every array of a v7.3 file is transposed on reading.
@@ -83,7 +83,8 @@ def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]
         kind, size = struct.unpack(order + "II", packed.decompress(body, 8))
         if size > most:
             raise LogError(
-                f"Expected variables of at most {most} bytes in a file of this size, got {size}. Save it from MATLAB "
+                f"Expected variables of at most {most} bytes in a file "
+                f"of this size, got {size}. Save the file from MATLAB "
                 "with save(..., '-nocompression')."
             )
         data = packed.decompress(packed.unconsumed_tail, size + 1)
@@ -219,7 +220,8 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
         found = {name: value for name, value in found.items() if name and not name.startswith("__")}
     else:
         raise LogError(
-            f"Expected a MAT file at {path}, got a file that begins with {head[:10]!r}. Save it from MATLAB with save."
+            f"Expected a MAT file at {path}, got a file that begins "
+            f"with {head[:10]!r}. Save the file from MATLAB with save."
         )
     return {k: v for k, v in found.items() if v is not None}, [k for k, v in found.items() if v is None]
 

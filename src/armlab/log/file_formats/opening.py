@@ -36,7 +36,7 @@ _FIRST_BYTES = {
 
 
 def format_of(first: bytes) -> str:
-    """Return the format of the first bytes: "MCAP", "LabComm", ..., "text", "empty" or "unknown"."""
+    """Return the file format indicated by the first bytes: "MCAP", "LabComm", ..., "text", "empty" or "unknown"."""
     if not first:
         return "empty"
     for magic, name in _FIRST_BYTES.items():
@@ -51,7 +51,7 @@ def format_of(first: bytes) -> str:
 
 
 def is_text(path: str | Path) -> bool:
-    """Return whether a file exists and starts as text or gzip, for `log.read_csv`."""
+    """Return whether a file exists and starts like text or gzip data, for `log.read_csv`."""
     return format_at(path) in ("text", "gzip")
 
 
@@ -134,7 +134,7 @@ _ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; otherwise, maximu
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
-    """Reject a file that would expand far beyond its size."""
+    """Reject a file whose contents would expand far beyond its size."""
     most = max(_ANY, _RATIO * path.stat().st_size)
     if size > most:
         raise LogError(

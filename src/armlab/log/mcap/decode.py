@@ -29,7 +29,7 @@ _MAX_VARIANTS = 8  # cached layouts per channel and length; messages whose strin
 Run = tuple[tuple[str, int], ...]
 Values = dict[Run, np.ndarray]
 Piece = tuple[np.ndarray, Values]
-"""Rows (k,) of messages, and their numbers (k, count)."""
+"""Rows (k,) of messages, and their numeric values (k, count)."""
 
 
 @dataclass(slots=True)
@@ -132,7 +132,7 @@ def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad:
 
 
 def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
-    """Return the mask (k,) of messages that equal the variant in all bytes outside the numbers."""
+    """Return the mask (k,) of messages that match the layout in all bytes that are not numeric."""
     same = np.ones(len(block), dtype=bool)
     for start, stop in variant.fixed:
         equal = block[:, start:stop] == variant.first[start:stop]
@@ -142,7 +142,7 @@ def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
 
 
 def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
-    """Split one message into the bytes outside the numbers and into runs of the requested numbers."""
+    """Split one message into the non-numeric bytes and runs of the requested numbers."""
     raw = first.tobytes()
     found = cdr.layout(raw, reader.type, reader.types)
     fixed, at = [], 0
@@ -215,7 +215,7 @@ def _filled(count: int, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.nd
 
 
 def _split(values: Values) -> dict[str, np.ndarray]:
-    """Return the numbers of each path from runs."""
+    """Return the numbers of each field path, split from the runs."""
     fields = {}
     for run, array in values.items():
         at = 0
@@ -272,7 +272,7 @@ def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
 
 
 def walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
-    """Return the message offsets of some channels by parsing the records."""
+    """Return the message offsets of the given channels by parsing the records."""
     found: dict[int, list[int]] = {number: [] for number in numbers}
     for kind, start, stop in records(memoryview(data), 0, len(data)):
         if kind == MESSAGE and stop - start >= 22:
@@ -283,13 +283,13 @@ def walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
 
 
 def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return the items (k,) of a type at arbitrary offsets."""
+    """Read items (k,) of one data type at arbitrary offsets."""
     places = max(len(raw) - dtype.itemsize + 1, 0)
     return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
 
 
 def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
-    """Return the bytes (k, length) at the offsets."""
+    """Read blocks of bytes (k, length) at the offsets."""
     found = _items(raw, offsets, np.dtype((np.void, length))) if length else np.zeros(len(offsets), np.uint8)
     return found.view(np.uint8).reshape(len(offsets), -1)[:, :length]
 
@@ -312,7 +312,7 @@ _TRIES = 8  # chunks searched for the first message of each channel
 
 
 class Room:
-    """Preallocated arrays for the messages of some channels."""
+    """Preallocated arrays for the messages of the given channels."""
 
     def __init__(self, view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader]) -> None:
         self._columns: dict[int, _Columns] = {}
@@ -438,12 +438,12 @@ def decode(
 def decode_by(
     view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return the messages of each channel as read by its reader, and a note on each corrupt chunk or channel."""
+    """Return the messages of each channel as decoded by its reader, and a note on each corrupt chunk or channel."""
     chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
     room = Room(view, chunks, readers)
 
     def read(places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
-        """Read some chunks; return rows in the room and other messages, both by channel, and the corrupt chunks."""
+        """Read the given chunks; return preallocated rows and other messages by channel, and the corrupt chunks."""
         held: dict[int, list[range | Part]] = {number: [] for number in readers}
         damage = []
         for place in places:

@@ -47,7 +47,7 @@ def _rename(part: Path, target: Path) -> None:
 
 
 def copied_channel(writer: McapWriter, channel: Channel) -> int:
-    """Write a channel of another file, and return its id in the new file."""
+    """Copy a channel from another file, and return its id in the new file."""
     schema = writer.schema(channel.type, channel.schema_encoding, channel.schema.encode(errors="surrogateescape"))
     return writer.channel(channel.topic, channel.encoding, schema, channel.metadata)
 
@@ -87,7 +87,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     check_readable(path)
     target = path.with_name(f"{path.stem}.recovered.mcap") if to is None else Path(to)
     if target.exists():
-        raise LogError(f"Expected no file at {target}, but it already exists. Move it or choose another name.")
+        raise LogError(f"Expected no file at {target}, but one already exists. Move the file or choose another name.")
     with opened(path) as view:
         with naming(path):
             found = contents(view)

@@ -1,8 +1,8 @@
 """`McapWriter`: writes an MCAP file that is readable up to the last `push`, even after a crash.
 
-The current chunk is already in the file. Its header marks it as open (length 2^64 - 1, as in other writers) and is
-followed by one zstd frame that grows block by block. Data passed to the kernel by `push` survives a crash;
-`close_chunk` later overwrites the open header. The writer follows the MCAP specification, version 0.
+The current chunk is already in the file. The chunk header marks the chunk as open (length 2^64 - 1, as in other
+writers) and is followed by one zstd frame that grows block by block. Data passed to the kernel by `push` survives a
+crash; `close_chunk` later overwrites the open header. The writer follows the MCAP specification, version 0.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class _Index:
             self._newest.clear()
 
     def taken(self) -> Iterator[bytes]:
-        """Yield all data once."""
+        """Yield all buffered data in order."""
         if self._file is not None:
             if not self._file.is_open:
                 raise OSError(errno.EBADF, "its index descriptor was closed; armlab log recover rebuilds the index")
@@ -160,7 +160,7 @@ class McapWriter:
         return number
 
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
-        """Add a message with its times [ns] to the current chunk; it reaches the file with `push`."""
+        """Add a message with its times [ns] to the current chunk; the message reaches the file with `push`."""
         length = _MESSAGE_PREFIX + len(data)
         record = _MESSAGE.pack(kinds.MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
         self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)

@@ -131,7 +131,7 @@ def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
 
 
 def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Assign values to the rows with equal sequence numbers; other rows are NaN."""
+    """Assign values to the rows with matching sequence numbers; other rows are NaN."""
     if np.array_equal(sequence, rows):
         return array
     order = np.argsort(rows, kind="stable")

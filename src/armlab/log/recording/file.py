@@ -92,7 +92,7 @@ def recording_path(path: str | Path) -> Path:
 
 
 def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
-    """Open a new file ``run.mcap``, or ``run-2.mcap``, ... if it exists; return the file and its path."""
+    """Open a new file ``run.mcap``, or ``run-2.mcap``, ... if that name exists; return the file and its path."""
     path = Path(path)
     number, candidate = 1, path
     try:

@@ -225,7 +225,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """Content of a recording other than its table.
+    """Content of a recording excluding its table.
 
     `size`: size of the file in bytes. `finished`: whether the file was closed properly. `torn`: number of bytes lost at
     the end. `metadata`: string maps by name; "armlab" describes the writing program and the robot. `attachments`: bytes

@@ -139,8 +139,8 @@ class Tail(Log):
 class Syncing:
     """Thread that syncs a file on request.
 
-    If the disk is slow, written data remain in kernel memory. They survive a process crash and reach the disk with the
-    next sync.
+    If the disk is slow, written data remain in kernel memory. These data survive a process crash and reach the disk
+    with the next sync.
     """
 
     def __init__(self, sync: Callable[[], None], name: str) -> None:
@@ -212,10 +212,11 @@ class Recorder:
 
     Notes
     -----
-    A row is packed into bytes and queued (10 s of rows). If the queue is full, new rows are dropped and counted, and
-    two events mark the gap. A thread passes all rows to the kernel every 40 ms, so a killed process loses only the
-    rows since then. Another thread syncs the file every 0.8 s to bound the loss in a power failure; a slow sync does
-    not delay rows. A write error stops the recorder, but never the loop.
+    Each row is packed into bytes and added to a queue that holds 10 s of rows. If the queue is full, new rows are
+    dropped and counted, and two events mark the gap. A thread passes all rows to the kernel every 40 ms, so if the
+    process is killed, only the rows since the last transfer are lost. Another thread syncs the file every 0.8 s to
+    bound the loss in a power failure; a slow sync does not delay rows. A write error stops the recorder, but never the
+    loop.
     """
 
     def __init__(
@@ -235,7 +236,7 @@ class Recorder:
         self.rows: int = 0
         self.dropped: int = 0
         self.failed: str | None = None
-        self._stopped = f"The log {self.path} stopped."
+        self._stopped = f"Recording to {self.path} stopped."
         self._wait = wait
         self._holes: list[tuple[int, int, int]] = []  # first tick, last tick, rows
         self._hole: tuple[int, int, int] | None = None
@@ -354,7 +355,7 @@ class Recorder:
         except Exception as error:  # the loop must continue, and no caller could catch the error
             try:
                 reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-                self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
+                self.failed = f"Recording to {self.path} stopped after {self._file.rows} rows: {reason}."
             except Exception:  # not enough memory for a message
                 self.failed = self._stopped
             self._file.abandon()

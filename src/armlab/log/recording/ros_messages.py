@@ -154,7 +154,7 @@ def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> 
 
 
 def _in_utf8(text: str) -> str:
-    """Escape lone surrogates, as in some JSON or file names, because they must not stop a recording."""
+    """Escape lone surrogates, which occur in some JSON strings and file names, so they do not stop a recording."""
     return text.encode(errors="backslashreplace").decode()
 
 

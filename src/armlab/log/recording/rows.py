@@ -112,7 +112,7 @@ class Slot:
 
     @property
     def nothing(self) -> bytes:
-        """Bytes of a missing value."""
+        """Bytes that encode a missing value."""
         missing = np.nan if self.dtype == "<f8" else self.missing or 0
         return np.full(self.size, missing, self.dtype).tobytes()
 

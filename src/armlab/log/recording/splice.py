@@ -46,7 +46,7 @@ class SplicedRows:
         if twice:
             raise LogError(
                 f"Expected distinct row numbers in {path}, got {twice} repeated numbers. "
-                "Rewrite it: log.write(log.read(path), 'new.mcap', robot)."
+                "Rewrite the file: log.write(log.read(path), 'new.mcap', robot)."
             )
 
     @property
@@ -88,7 +88,7 @@ class SplicedRows:
         if len(own) and len(last) and own[0] <= last[-1]:
             raise LogError(
                 f"Expected {self.path} of {self.name} to begin after the end of {before.path} at {last[-1]:.6g} s, got "
-                f"{own[0]:.6g} s. Cut one of the two, or join them in Python: log.concat and Table.shifted."
+                f"{own[0]:.6g} s. Cut one of the two recordings, or join them in Python: log.concat and Table.shifted."
             )
         if len(self.rows.sequence) and len(before.rows.sequence):
             highest = int(before.rows.sequence.max()) + before._offset
@@ -148,7 +148,7 @@ class Source:
         self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
-        """Return the messages for the new file: the message, if selected, and for a row also the message with its t.
+        """Return the messages for the new file: the message, if selected, and, for a row, the message with its time.
 
         Messages between the first and the last selected row, and earlier parameter values, are selected.
         """
@@ -204,7 +204,7 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
 
 
 def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
-    """Return the name, with a number if other content has the same name; None if the content is already present."""
+    """Return the name, numbered if other content has the same name; None if the content is already present."""
     stem, dot, ending = name.partition(".")
     number, own = 1, name
     while own in known:
@@ -264,7 +264,7 @@ def cut(
     ----------
     path : finished or unfinished recording; if it has several robots, each is cut on its own clock.
     to : the new file, with the extension .mcap; an existing file is replaced atomically.
-    start, stop : seconds of the table.
+    start, stop : times on the clock of the table [s].
     robot : select the rows and events of one robot; default: all robots.
     progress : called with (bytes done, total bytes, what).
 
@@ -294,8 +294,8 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
     """Merge several recordings into one, and return its path.
 
     Recordings of one robot are joined in wall-clock order; gaps between them remain, as in `concat`. Columns absent
-    from a recording are missing values in its rows. Recordings of robots that ran simultaneously, such as both arms of
-    a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
+    from a recording are filled with missing values in its rows. Recordings of robots that ran simultaneously, such as
+    both arms of a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
 
     Parameters
     ----------
@@ -305,8 +305,9 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
 
     Raises
     ------
-    LogError : a file is not an armlab recording, or the output cannot be written. Recordings of one robot overlap, or
-        have different robot descriptions or incompatible columns with the same name. Robots did not run simultaneously.
+    LogError : a file is not an armlab recording, or the output cannot be written. Also raised if recordings of one
+    robot overlap, or have different robot descriptions or incompatible columns with the same name. Also raised if the
+    robots did not run simultaneously.
     ConfigError : fewer than two files are given, or the extension is not .mcap.
     """
     to = recording_path(to)

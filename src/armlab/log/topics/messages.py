@@ -117,7 +117,7 @@ def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbe
         try:
             _collect_protobuf(kind.FromString(raw), "", found, 0)
         except (message.DecodeError, ValueError, RecursionError) as error:
-            raise LogError(f"Expected a {name} in protobuf, got: {str(error).rstrip('.')}.") from None
+            raise LogError(f"Expected a protobuf message of type {name}, got: {str(error).rstrip('.')}.") from None
         return found
 
     return numbers
@@ -283,7 +283,7 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
         return cdr.definitions(name, definition.data, encoding), bytes
     if name not in store().fielddefs:
         raise LogError(
-            f"Expected a definition of {name} in the bag, got no definition. Record it as MCAP, which stores "
+            f"Expected a definition of {name} in the bag, got no definition. Record the data as MCAP, which stores "
             "definitions."
         )
     return cdr.definitions(name, store().generate_msgdef(name, ros_version=2)[0]), bytes
@@ -310,7 +310,11 @@ def _decoded(
             kept.append(row)
         except Exception as error:  # rosbags raises its own errors, struct errors and assertions
             why = str(error).rstrip(".") or type(error).__name__
-            reason = reason or f"Expected a {reader.type}, got {len(raw)} bytes that do not match it ({why})."
+            reason = (
+                reason
+                or f"Expected a message of type {reader.type}, got "
+                f"{len(raw)} bytes that do not match this type ({why})."
+            )
     same = decode.of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
     joined = ((rows, b"".join([whole[row] for row in rows.tolist()])) for rows in same)
     blocks = ((rows, np.frombuffer(raw, dtype=np.uint8).reshape(len(rows), -1)) for rows, raw in joined)

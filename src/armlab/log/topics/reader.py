@@ -79,7 +79,7 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 
 
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
-    """Return a table per stream by topic; if a topic has several streams, their names include the first column."""
+    """Return one table per stream, keyed by topic; if a topic has several streams, the keys include a column name."""
     tables: dict[str, Table] = {}
     counts = Counter(one.topic for one in streams)
     for one in streams:
@@ -148,7 +148,7 @@ def _mismatch(path: Path, robot: Robot, stream: Stream) -> str:
     only_there = ", ".join(name for name in stream.joints if name not in here) or "none"
     return (
         f"Expected the joints of {robot.name} on {stream.topic} of {path}, got other joints. Only in the robot: "
-        f"{only_here}; only in the log: {only_there}. Pass the recorded robot, or omit robot=."
+        f"{only_here}; only in the log: {only_there}. Pass the robot that was recorded, or omit robot=."
     )
 
 
@@ -423,7 +423,7 @@ def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -
 
 
 def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
-    """Return the topics that may contain the columns; if a column is unknown, all topics, for the error message."""
+    """Return the topics that may contain the columns; for an unknown column, all topics for the error message."""
     if columns is None:
         return set(topics)
     needed: set[str] = set()
