@@ -119,10 +119,8 @@ def factorise(rows: Iterable[Rows], size: int) -> Factors:
 
 def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
     """Return the triangle R (w, w) of vertically stacked parts (m, w)."""
-    R = np.zeros((0, 0))
-    for part in parts:
-        R = triangle(part, R=R if R.size else None)
-    return R
+    found = list(parts)
+    return triangle(np.concatenate(found)) if found else np.zeros((0, 0))
 
 
 def triangle(A: np.ndarray, y: np.ndarray | None = None, R: np.ndarray | None = None) -> np.ndarray:
