@@ -1,4 +1,4 @@
-"""Solve inverse kinematics within joint limits, exploit the redundant joint, and handle an unreachable pose."""
+"""Solve inverse kinematics within joint limits, use the redundancy, and handle an unreachable pose."""
 
 import numpy as np
 

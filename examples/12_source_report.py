@@ -1,4 +1,4 @@
-"""Reproduce figures of TFRT-7651, section 5, on the simulated YuMi: torque covariance, presses on the tips, 500 g."""
+"""Reproduce figures of TFRT-7651, section 5, on the simulated YuMi: torque covariance, tip contacts, 500 g payload."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ FIRST = {"left": 10.0, "right": 1.0}  # start of the 5 N presses along base x, y
 
 
 def measure(side: str) -> tuple[log.Table, log.Table]:
-    """Identify one arm, then press on its tip while it sways; return the estimates for both logs."""
+    """Identify one arm, then press on its tip while the arm sways; return the estimates for both logs."""
     robot = robots.load(f"yumi_{side}")
     presses = [(FIRST[side] + 3.0 * axis, axis, 5.0) for axis in range(3)] + WEIGHT
 

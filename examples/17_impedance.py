@@ -1,7 +1,7 @@
 """Torque-based impedance control: the arm acts as a spring and damper about its start, and a hand pushes it.
 
-The simulated robot accepts torques through the research extension; standard EGM has no torques. The arm stops a few
-millimetres from its start, because such a soft spring cannot overcome friction.
+The simulated robot accepts torques through the research extension; standard EGM does not transmit torques. The arm
+stops a few millimetres from its start, because such a soft spring cannot overcome friction.
 """
 
 from pathlib import Path

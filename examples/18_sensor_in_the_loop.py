@@ -1,4 +1,4 @@
-"""Use an external sensor: each State holds its latest value (NaN if stale) and age; the log holds all values."""
+"""Use an external sensor: each State holds the latest value (NaN if stale) and its age; the log holds all values."""
 
 import itertools
 

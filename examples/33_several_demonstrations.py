@@ -1,4 +1,4 @@
-"""Learn a distribution of motions from several demonstrations, and condition it on a point above all of them."""
+"""Learn a distribution of motions from several demonstrations, and condition it on a point above all demonstrations."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Identify a payload from motor torques and add it to the model; otherwise, its weight appears as a contact force."""
+"""Identify a payload from motor torques and add it to the model, so its weight does not appear as a contact force."""
 
 import numpy as np
 

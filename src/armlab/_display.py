@@ -1,6 +1,6 @@
 """Short reprs of at most twenty lines, notebook tables, and figure colours.
 
-`Shown` is the base class of public dataclasses with ``repr=False``. Its repr has one field per line and shows large
+`Shown` is the base class of public dataclasses with ``repr=False``. The repr has one field per line and shows large
 arrays by their shape.
 """
 

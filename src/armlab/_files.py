@@ -18,7 +18,7 @@ _APART = 512  # lowest high number; below the usual limit of 1024
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path, which is atomically renamed to `path` on success and deleted on failure.
 
-    Unlike plain write errors, every OSError names `path`.
+    Every OSError names `path`, unlike errors from plain writes.
     """
     part = path.with_name(f"{path.name}.part")
     try:
@@ -32,7 +32,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 class Descriptor:
-    """Open file descriptor that also identifies its file, because a closed number may be reused for another file."""
+    """Open file descriptor with the identity of its file, because a closed descriptor number may be reused for another
+    file."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -64,7 +65,8 @@ def _file(number: int) -> tuple[int, int] | None:
 
 
 def apart(number: int) -> int:
-    """Move a new descriptor to a high number, which other code does not mistake for an old file; return the number.
+    """Move a new descriptor to a high number, which other code is unlikely to confuse with an old descriptor; return
+    the number.
 
     If no high number is available, the descriptor keeps its number.
     """

@@ -13,7 +13,7 @@ from types import FrameType
 def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """Use `handler` for SIGINT, SIGTERM and SIGHUP (unless ignored, as with nohup) during the block.
 
-    Outside the main thread, this has no effect, because the owner of the process handles signals.
+    Outside the main thread, the handler is not installed, because the owner of the process handles signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -31,7 +31,7 @@ def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Defer Ctrl-C and similar signals to the end of the block, because compiled modules may lose an interrupt."""
+    """Defer Ctrl-C and similar signals until the end of the block, because compiled modules may lose an interrupt."""
     came: list[int] = []
     with handling(lambda number, _frame: came.append(number)):
         yield

@@ -27,7 +27,7 @@ def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) 
 
 
 def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tuple[Any, ...]:
-    """Return the items of an iterable as a tuple; raise for strings, although Python can iterate over them."""
+    """Return the items of an iterable as a tuple; raise an error for strings, although Python can iterate over them."""
     if (
         isinstance(value, str | bytes)
         or not isinstance(value, Iterable)
@@ -66,7 +66,7 @@ def make_read_only(result: Any, *names: str) -> None:
 
 
 def flag(value: Any, what: str) -> bool:
-    """Return a bool; raise for anything else, because non-empty lists and strings would count as True."""
+    """Return a bool; raise an error for anything else, because non-empty lists and strings would count as True."""
     if not isinstance(value, bool | np.bool_):
         raise ShapeError(f"Expected {what} to be True or False, got {shortened(value)}.")
     return bool(value)

@@ -297,7 +297,7 @@ def test_a_trajectory_advances_by_the_time_between_packets_and_its_result_is_tol
     bench(goal("2", motion=second))
     assert (second.begun, second.steps, motion.steps) == ([True], [0.0], [0.0, 0.004])
     assert bench.results[1:] == [
-        ("labcomm a", "1", "aborted", "interrupted", "A newer command replaced it."),
+        ("labcomm a", "1", "aborted", "interrupted", "A newer command replaced this one."),
         ("labcomm a", "2", "executing", "", ""),
     ]
     second.ending = "arrived"
@@ -318,7 +318,7 @@ def test_a_trajectory_ends_when_the_arm_cannot_follow() -> None:
     assert bench(goal(motion=motion)) is not None, "the largest step allowed"
     bench.q_sent["yumi_left"] = HOME - 1e-9
     assert bench() is None
-    reason = "The limits of the arm prevent it from following its trajectory."
+    reason = "The arm's limits prevent it from following the trajectory."
     assert bench.results[1:] == [("labcomm a", "1", "aborted", "path", reason)]
     assert bench.events[-1] == f"labcomm a no longer commands yumi_left: {reason} The arm holds."
 
@@ -362,7 +362,7 @@ def test_the_lease_of_a_trajectory_is_renewed_only_while_the_arm_is_ready() -> N
     bench.arbiter.renew("labcomm a", "yumi_left", "1")
     assert bench.results[2:] == [ended], "a client that missed the result gets it again"
     bench.arbiter.renew("labcomm a", "yumi_left", "9")
-    assert bench.results[3:] == [("labcomm a", "9", "aborted", "interrupted", "The lease of the arm ended.")]
+    assert bench.results[3:] == [("labcomm a", "9", "aborted", "interrupted", "The lease on the arm expired.")]
 
 
 def test_a_waiting_trajectory_is_refused_once_the_arm_has_not_been_ready_for_a_lease() -> None:

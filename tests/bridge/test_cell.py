@@ -133,7 +133,7 @@ def test_errors_are_one_line_with_the_path(cell_text: str, old: str, new: str, w
 def test_entries_that_contradict_each_other() -> None:
     text = 'name = "yumi_left"\n[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left"\n'
     assert parse_cell(text).name == "yumi_left"
-    with pytest.raises(ConfigError, match="that differs from its robots, got yumi_left"):
+    with pytest.raises(ConfigError, match="that differs from the names of its robots, got yumi_left"):
         parse_cell(f'{text}[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n')
     with pytest.raises(ConfigError, match=r"got labcomm. Add \[servers.labcomm\]"):
         parse_cell(f'commands=["labcomm"]\n{text}')
@@ -365,7 +365,7 @@ def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench,
 
     run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=60.0)
     told = [text for _, text in run.events]
-    assert any("The server labcomm ended with status -9. It restarts in 1 s." in text for text in told)
+    assert any("The server labcomm ended with status -9. The server restarts in 1 s." in text for text in told)
     assert run.reason == "the controller ended the run"
     answered = np.asarray(run.table["seq"], dtype=int)[np.asarray(run.table["send_ns"]) > 0]
     assert np.diff(answered).max() <= 25, "0.1 s: a busy machine misses some; a loop that is held up more"

@@ -393,7 +393,7 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
     with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. Close other"):
         play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
     assert log.inspect(tmp_path / "run.mcap").finished
-    assert link.last.reason == "the memory needed to end the run is missing"
+    assert link.last.reason == "not enough memory to end the run"
 
 
 def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:

@@ -64,7 +64,7 @@ NAMED = {
     "motors": "switch the motors on, but it failed",
     "mastership": "mastership: held by RobotStudio",
     "busy": "main is in MainModule",
-    "main": "main is in MainModule. A task must have exactly one main",
+    "main": "main is in MainModule. A task must have exactly one main routine",
     "module": "ArmlabYumiL is loaded with different content",
     "file": "ArmlabYumiL.mod has different content",
     "semantic": "load the module into T_ROB_L, but it failed",

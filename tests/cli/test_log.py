@@ -266,7 +266,7 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, command) -> N
     assert command(["log", "show", "--parameters", path]).out == "This log has no parameters.\n"
     start = 1_700_000_000_000_000_000
     with Recorder(tmp_path / "set.mcap", robots.load("yumi_right")) as recorder:
-        recorder.parameter(0, "gain", 2.0, "in force at the start", start)
+        recorder.parameter(0, "gain", 2.0, "in effect at the start", start)
         recorder.parameter(1, "gain", 3.0, "local 1", start + 2)
         recorder.event("A setting of local 1 was refused: too large.", start + 1)
         recorder.event("Something else.", start)

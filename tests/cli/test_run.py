@@ -49,7 +49,7 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, comm
     (folder / "code" / "sine.py").rename(folder / "code" / "sine.v2.py")
     said = command(["run", "yumi_left", "code/sine.v2.py:sine", *words])
     assert "Ended: the time is up." in said.out
-    assert "The robot is ready and holds." in said.err
+    assert "The robot is ready and holds its position." in said.err
     (path,) = folder.glob("sway-*Z.mcap")
     assert f"log: {path.name}" in said.err
     table = log.read(path)

@@ -86,7 +86,7 @@ def log_ends(outcome: Outcome, bench: Bench, cell: Cell) -> None:
     log_is_what_was_sent(bench, table, end=len(table))
     np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
     lost = outcome.run.statistics["packets"] - len(table)
-    assert f"The recording lost {lost} rows: they arrived after it stopped." in outcome.told
+    assert f"The recording lost {lost} rows: the recorder had already stopped." in outcome.told
 
 
 @shows

@@ -156,7 +156,10 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "unfinished": (recorded(is_whole=False, summary={}), "run-left: recordings finished"),
     "dropped": (recorded(summary={"packets": 446429, "dropped": 1, "seconds": 1800.0}), "run-left: rows dropped"),
     "too slow": (recorded(summary={"packets": 400000, "dropped": 0, "seconds": 1800.0}), "run-left: packets skipped"),
-    "server ended": (recorded(events=("The server zenoh ended. It restarts in 1 s.",)), "run-left: servers that"),
+    "server ended": (
+        recorded(events=("The server zenoh ended. The server restarts in 1 s.",)),
+        "run-left: servers that",
+    ),
 }
 
 

@@ -105,10 +105,10 @@ class _Holder:
 class Arbiter:
     """Controller that forwards the newest command of each arm's commanding client; a free arm holds its position.
 
-    The first valid command of an allowed client takes a free arm. The client keeps the arm by sending commands, and
-    loses it after `lease` seconds of silence, on disconnection, or through `release`. The first position must lie
-    within `entry` of the measured joints. A refused command has no effect. Any client may `stop`; only
-    operators may `resume`.
+    The first valid command from an allowed client takes control of a free arm. The client keeps the arm by sending
+    commands, and loses it after `lease` seconds of silence, on disconnection, or through `release`. The first commanded
+    position must lie within `entry` of the measured joint positions. A refused command has no effect. Any client may
+    `stop`; only operators may `resume`.
 
     A trajectory is one long-running command: the server renews its lease while the client is connected.
     `on_goal` receives the start and the result of each goal.
@@ -151,7 +151,7 @@ class Arbiter:
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
-        """Return whether a client commands an arm, or is allowed to and all arms are free."""
+        """Return whether a client commands an arm, or could take control because all arms are free."""
         holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
@@ -188,9 +188,9 @@ class Arbiter:
         elif waiting is not None and waiting.goal == goal:
             if late:
                 del self._inbox[arm, client]
-                self._refuse(waiting, f"{arm} is not ready. Send the goal again when it is ready.", now)
+                self._refuse(waiting, f"{arm} is not ready. Send the goal again when the arm is ready.", now)
         else:
-            known = self._results.get((client, goal), ("aborted", "interrupted", "The lease of the arm ended."))
+            known = self._results.get((client, goal), ("aborted", "interrupted", "The lease on the arm expired."))
             self._on_goal(Order(client, arm, goal=goal), known)
 
     def cancel(self, who: str, arm: str, goal: str) -> None:
@@ -243,7 +243,7 @@ class Arbiter:
         self._answered.pop(client, None)
 
     def report(self, client: str, why: str) -> None:
-        """Count a message that a server refused; report it at most once a second per client."""
+        """Count a message refused by a server; report it at most once a second per client."""
         self._refuse(Order(client, ""), why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
@@ -279,7 +279,7 @@ class Arbiter:
         holder = self._holders[order.arm]
         robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
-            return self._refuse(order, f"All arms hold, because {self.stopped} stopped them.", came_ns)
+            return self._refuse(order, f"All arms hold their positions, because {self.stopped} stopped them.", came_ns)
         if holder is not None and holder.client != order.client:
             return self._refuse(
                 order, f"{order.arm} is commanded by {holder.client}. You have read-only access.", came_ns
@@ -304,7 +304,7 @@ class Arbiter:
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.", each=True)
         else:
-            self._end(holder.order, "aborted", "interrupted", "A newer command replaced it.")
+            self._end(holder.order, "aborted", "interrupted", "A newer command replaced this one.")
         self._holders[order.arm] = _Holder(order.client, command, order.seq, came_ns, order)
         if order.goal:
             self._on_goal(order, ("executing", "", ""))
@@ -330,9 +330,9 @@ class Arbiter:
         )  # NaN counts as far
         if not is_far and not trajectory.ending:
             return command
-        reason = "The limits of the arm prevent it from following its trajectory." if is_far else trajectory.reason
+        reason = "The arm's limits prevent it from following the trajectory." if is_far else trajectory.reason
         self._end(order, "succeeded" if trajectory.done else "aborted", trajectory.ending or "path", reason)
-        self._free(order.arm, reason or "its trajectory has ended")
+        self._free(order.arm, reason or "the trajectory has ended")
         return None
 
     def _end(self, order: Order | None, status: str, ending: str, reason: str) -> None:

@@ -1,7 +1,7 @@
 """Robot cell: robots, sources, parameters and servers from one TOML file, and the bridge that runs them.
 
-By default, network servers listen only on this computer. The option --listen opens them to other computers (see
-`listening`).
+By default, network servers listen only on this computer. The option --listen opens these servers to other computers
+(see `listening`).
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
             )
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
-            why = "it needs a secret and encryption. Set both in its table in the cell file, or remove"
+            why = "this server needs a secret and encryption. Set both in its table in the cell file, or remove"
             if GUARDED not in options:
-                why = "it supports neither a secret nor encryption. Remove"
+                why = "this server supports neither a secret nor encryption. Remove"
             raise ConfigError(
                 f"Expected {server} only on this computer, because `commands` lists it, got --listen {word}: "
                 f"{why} it from `commands`, or let clients connect through an SSH tunnel."
@@ -111,7 +111,8 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
 
 
 def _check_master(cell: Cell) -> None:
-    """Raise an error if ROS 1 commands are enabled with a master on another computer; masters lack authentication."""
+    """Raise an error if ROS 1 commands are enabled with a master on another computer; ROS masters have no
+    authentication."""
     if "ros1" not in cell.commands:
         return
     master = cell.servers["ros1"]["master"]
@@ -121,7 +122,7 @@ def _check_master(cell: Cell) -> None:
         host = ""
     if host != "localhost" and not is_loopback(host):
         raise ConfigError(
-            f"Expected the master of ROS 1 on this computer, such as http://127.0.0.1:11311, because `commands` lists "
+            f"Expected the ROS 1 master on this computer, such as http://127.0.0.1:11311, because `commands` lists "
             f"ros1, got {master}: nodes in its network could command the arms without a secret. Remove ros1 from "
             "`commands`."
         )
@@ -136,7 +137,7 @@ def _router_port(options: Mapping[str, Any]) -> str:
 
 
 def _address(place: str) -> str:
-    """Return an IPv4 address; `place` is an address or the name of a network interface."""
+    """Return the IPv4 address of `place`, which is an address or the name of a network interface."""
     try:
         address = ipaddress.IPv4Address(place)
     except ValueError:
@@ -343,7 +344,7 @@ class Cell:
     text: str = ""  # of the cell file, to be stored in recordings
 
     def sources(self) -> list[Source]:
-        """Return new sources, which the caller starts."""
+        """Return new sources; the caller must start them."""
         return [_source(name, one) for name, one in self._sources.items()]
 
 
@@ -371,7 +372,7 @@ def _cell(file: File) -> Cell:
     if len(set(names)) < len(names):
         raise ConfigError(f"Expected robots with different names, got {', '.join(names)}.")
     if len(names) > 1 and file.name in names:  # the cell name addresses all arms together
-        raise ConfigError(f"Expected a cell name that differs from its robots, got {file.name}.")
+        raise ConfigError(f"Expected a cell name that differs from the names of its robots, got {file.name}.")
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
     servers: dict[str, Mapping[str, Any]] = {OPERATOR: {}}
@@ -402,7 +403,7 @@ def _limits(arm: Robot, one: RobotTable, extension: bool) -> Limits:
         return Limits.of(arm, speed=one.speed)
     if not (one.link.startswith("sim:") or (extension and one.link.startswith("egm:"))):
         raise ConfigError(
-            f"Expected a link for {arm.name} that carries torques, because `torque` is set, got {one.link}. Set "
+            f"Expected a link for {arm.name} that supports torques, because `torque` is set, got {one.link}. Set "
             "extension = true if the robot's controller supports it, or remove `torque`."
         )
     most = np.asarray(one.torque, dtype=float)
@@ -423,7 +424,9 @@ def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
     ports = [options.ports.get(arm.name, side) for arm, side in zip(arms, sides, strict=True)]
     taken = [port for port in (*ports, options.parameters, options.rows) if port]
     if len(set(taken)) < len(taken):
-        raise ConfigError(f"Expected different LabComm ports for each arm, the parameters and the rows, got {taken}.")
+        raise ConfigError(
+            f"Expected a different LabComm port for each arm, for the parameters and for the rows, got {taken}."
+        )
     fields: dict[str, Any] = {**msgspec.structs.asdict(options), "ports": ports}
     fused = fields.pop("rows")
     return labcomm_options(arms, fused=fused, **fields)
@@ -458,7 +461,7 @@ def run_cell(
     listen : iterable of str
         Options ``SERVER=ADDRESS``, see `listening`.
     seconds : float, s
-        Robot time under guidance after which the run ends.
+        The run ends after this much robot time under guidance.
     patience : float, s
         Time to wait for a robot.
     ready : callable
@@ -517,7 +520,8 @@ def _line(error: Exception) -> str:
 
 
 def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool]]:
-    """Return (key path, value, whether the file sets it) for all entries, with key paths such as `robots[0].speed`."""
+    """Return (key path, value, whether the file sets the value) for all entries, with key paths such as
+    `robots[0].speed`."""
     parse_cell(text, path)
     raw = parsed(text)
     return list(_values(msgspec.convert(raw, File, strict=True), raw, ""))

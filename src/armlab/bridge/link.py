@@ -101,7 +101,7 @@ def codecs_of(
                 f"Expected the name of a codec, or an object with the methods of wire.egm.Codec, got {one!r}."
             )
     if len(given) != len(robots):
-        raise ConfigError(f"Expected one codec per arm, because each tracks one session, got {len(given)}.")
+        raise ConfigError(f"Expected one codec per arm, because each codec tracks one session, got {len(given)}.")
     return given
 
 
@@ -112,7 +112,7 @@ _PATIENCE = 5.0  # s allowed for the process to exit before it is killed
 class Simulator:
     """``armlab sim`` process that sends to ports on this computer.
 
-    The process has its own session, which shields it from Ctrl-C, so the bridge can bring the arm to rest first.
+    The process runs in its own session, which shields it from Ctrl-C, so the bridge can bring the arm to rest first.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
@@ -181,7 +181,7 @@ def connect(
     url : str or sequence of str
         One URL per arm. ``egm://127.0.0.1:6510`` listens for a robot's controller; the default port is 6510, or 6511,
         6512, ... for several arms. ``sim://yumi_right`` starts a simulated robot and stops it with the link. The query
-        sets options of armlab sim, such as ``?seed=1&lockstep=true``; only seeds may differ between arms.
+        string sets options of armlab sim, such as ``?seed=1&lockstep=true``; only seeds may differ between arms.
         ``sim://yumi_left+yumi_right`` starts two robots; ``sim://mine.toml`` starts the robot described in that file.
         ``labcomm://host:7511`` connects to a bridge through its LabComm server; ``?order=chain&dialect=2014`` sets the
         options of the port. ``zenoh://host:7447/lab`` connects to a bridge or router over Zenoh;
@@ -381,18 +381,18 @@ class Link:
         - on Ctrl-C.
 
         The bridge brings the arm to rest before the run ends. Ctrl-C raises KeyboardInterrupt once the arm is at rest
-        and the log is closed. A second Ctrl-C raises it immediately; the arm then keeps its last speed until the robot
-        controller times out. If a controller call lasts longer than 1 s, Ctrl-C interrupts the call.
+        and the log is closed. A second Ctrl-C raises the exception immediately; the arm then keeps its last speed until
+        the robot controller times out. If a controller call lasts longer than 1 s, Ctrl-C interrupts the call.
 
         With several arms, each packet of the pacing arm triggers a controller call with the State of all arms, as long
         as all are ready. The other arms receive their newest commands in their own ticks. All arms hold when any arm is
-        not ready, ends its session or falls silent.
+        not ready, ends its session or stops sending packets.
 
         Parameters
         ----------
         controller : callable
-            Maps a State to a Command or None (hold). With several arms, it returns a Command for all joints, or a tuple
-            with one Command per arm. If None, the run only listens and never sends.
+            Maps a State to a Command or None (hold). With several arms, the controller returns a Command for all
+            joints, or a tuple with one Command per arm. If None, the run only listens and never sends.
         seconds : float, s
             Duration of the run: robot time under guidance or, without a controller, from the first packet.
         wait : str
@@ -422,7 +422,8 @@ class Link:
         torque_model : callable, TorqueModel or its Fit, or a sequence of them
             Torque (n,) of free motion as a callable of (q, qd), one per arm; default: zero.
         attachments : mapping
-            Bytes by name, such as models and settings, to store in the recordings besides the robot descriptions.
+            Bytes by name, such as models and settings, to store in the recordings in addition to the robot
+            descriptions.
 
         Returns
         -------

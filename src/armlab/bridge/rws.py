@@ -1,7 +1,8 @@
 """Robot Web Services (RWS): `AbbController` reads the state of an ABB controller, and loads, starts and stops RAPID.
 
 The client abb_robot_client (extra ``abb``) supports RWS 1.0 of RobotWare 6. For RobotWare 7, a `requests` transport
-below the client translates its requests to RWS 2.0. The password never appears in a URL, an error, a repr or an event.
+below the client translates the client's requests to RWS 2.0. The password never appears in a URL, an error, a repr or
+an event.
 """
 
 from __future__ import annotations
@@ -48,15 +49,15 @@ _FORM, _HAL, _XHTML = (
 )
 _MAIN = re.compile(r"^\s*PROC\s+main\s*\(", re.IGNORECASE | re.MULTILINE)
 _CODES = {
-    -1073445860: "the operating mode does not allow it. Switch the controller to automatic",
+    -1073445860: "the operating mode does not allow this request. Switch the controller to automatic",
     -1073445859: "another program or the pendant holds mastership. Release it there",
     -1073445862: "another program or the pendant holds mastership. Release it there",
-    -1073445867: "the user lacks the required grant. Add it in the controller's user authorisation",
+    -1073445867: "the user lacks the required grant. Add the grant in the controller's user authorisation",
     -1073445863: "the user lacks the required grant. Add it in the controller's user authorisation",
     -1073442809: "RAPID is running. Stop it first",
-    -1073442802: "RAPID found a semantic error, such as a second main. Check the program on the pendant",
+    -1073442802: "RAPID found a semantic error, such as a second main routine. Check the program on the pendant",
     -1073442803: "RAPID found a syntax error. Check the module",
-    -1073442783: "the program pointer is not set. Set it to main",
+    -1073442783: "the program pointer is not set. Set the program pointer to main",
     -1073436650: "the motors are off",
 }
 
@@ -130,7 +131,8 @@ def split_host(text: str) -> tuple[list[str], str]:
     """Return the candidate URLs of a controller, and its name in messages."""
     if "@" in text:  # not echoed, because it may contain a password
         raise ConfigError(
-            f"Expected a controller address without user and password. Remove them from the address and set {USER} "
+            "Expected a controller address without user and password. "
+            f"Remove the user and password from the address and set {USER} "
             f"and {PASSWORD}."
         )
     try:
@@ -271,7 +273,8 @@ def _check(place: str, request: Any, response: Any) -> None:
         challenge = response.headers.get("WWW-Authenticate", "").lower()
         if "Authorization" in request.headers and "stale=true" not in challenge.replace('"', "").replace(" ", ""):
             raise RwsError(
-                f"Expected {place} to accept the user and password, but it refused them. Check {USER} and {PASSWORD}.",
+                f"Expected {place} to accept the user and password, but "
+                f"the controller refused them. Check {USER} and {PASSWORD}.",
                 status,
             )
         return
@@ -528,7 +531,8 @@ class AbbController:
         except Exception as error:
             raise RwsError(
                 f"Expected Robot Web Services answers from {self.place}, got unexpected data "
-                f"({type(error).__name__}: {str(error)[:200]}). Check that this is an ABB controller."
+                f"({type(error).__name__}: {str(error)[:200]}). Check "
+                "that the device at this address is an ABB controller."
             ) from None
 
 

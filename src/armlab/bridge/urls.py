@@ -63,7 +63,8 @@ def split_url(url: str) -> SplitResult:
         parts = urlsplit(url if isinstance(url, str) else "")
         if parts.password is not None or "@" in dict(parse_qsl(parts.query)).get("rws", ""):  # not echoed
             raise ConfigError(
-                "Expected a URL without a password, but it contains one. Store passwords in environment variables."
+                "Expected a URL without a password, but the URL contains "
+                "a password. Store passwords in environment variables."
             )
         return parts
     except ConfigError:

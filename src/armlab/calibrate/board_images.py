@@ -172,7 +172,8 @@ def board_poses(
     MissingExtra : OpenCV is not installed.
     ConfigError : an invalid board specification.
     ShapeError : images of a wrong type or of different sizes.
-    NotExcited : too few images with a board (states the reasons), or images that do not determine the intrinsics.
+    NotExcited : too few images with a board (the message states the reasons), or images that do not determine the
+    intrinsics.
 
     References
     ----------
@@ -208,7 +209,7 @@ def poses_of_corners(
     failures, seen = _separated(found)
     if intrinsics is None and is_tag:
         raise NotExcited(
-            "Expected intrinsics for a tag, because its four corners do not determine them, got none. Pass the "
+            "Expected intrinsics for a tag, whose four corners do not determine the intrinsics, got none. Pass the "
             "intrinsics (--intrinsics FILE), or use a board.", ["intrinsics"], ["4 corners per image"],
         )  # fmt: skip
     while True:  # until no image is an outlier
@@ -250,10 +251,10 @@ def fit_hand_eye_images(
 ) -> Fit[HandEye]:
     """Calibrate the poses of the camera and a board from robot poses and images of the board at rest.
 
-    This calls `fit_hand_eye` with the covariance of each board pose. Corner errors within an image may be correlated,
-    and the arm may be inaccurate. If the residuals are larger than the pose covariances explain, the covariance C of
-    the result is therefore scaled to ``C chi^2 / dof`` (Birge ratio). The shared error of estimated intrinsics is
-    added: ``C + S C_k S^T``, with S the sensitivity of the result to the intrinsics.
+    The function calls `fit_hand_eye` with the covariance of each board pose. Corner errors within an image may be
+    correlated, and the arm may be inaccurate. If the residuals are larger than the pose covariances explain, the
+    covariance C of the result is therefore scaled to ``C chi^2 / dof`` (Birge ratio). The shared error of estimated
+    intrinsics is added: ``C + S C_k S^T``, with S the sensitivity of the result to the intrinsics.
 
     Parameters
     ----------
@@ -293,7 +294,8 @@ def fit_hand_eye_images(
     notes = seen.report().splitlines()
     if ratio > 1.0:
         notes.append(
-            f"Pose residuals are {np.sqrt(ratio):.2g} times as large as corner errors explain; standard deviations are "
+            f"Pose residuals are {np.sqrt(ratio):.2g} times as large "
+            "as the corner errors explain; standard deviations are "
             "scaled by this factor."
         )
     D, S, sd = seen.sensitivity[seen.valid][keep], np.zeros((12, d)), np.sqrt(np.diag(seen.intrinsics_cov))
@@ -338,7 +340,7 @@ def _require_images(seen: Mapping[str, Any], found: Mapping[str, Any], failures:
         + ("Take more images" if len(seen) else "Check --board")
         + (", or pass the intrinsics." if least == LEAST_FOR_INTRINSICS else "."),
         [f"everything: {len(seen)} images"],
-        [f"{len(seen)} of at least {least} images"],
+        [f"{len(seen)} images (at least {least} required)"],
     )
 
 

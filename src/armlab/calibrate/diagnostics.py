@@ -55,7 +55,7 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
     """Raise an error unless the tool rotates about two axes; `noise` is the standard deviation of a rotation [rad].
 
-    The mean square rotation of a tool axis u is ``1 - |mean(R_A) u|^2``; noise alone makes it 2 sigma^2.
+    The mean square rotation of a tool axis u is ``1 - |mean(R_A) u|^2``; noise alone gives a value of 2 sigma^2.
     """
     M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
@@ -82,13 +82,13 @@ def largest_rotation(R: np.ndarray) -> float:
 
 
 def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Return the doubts, including all remarks that end with a question mark, and the other remarks."""
+    """Return the doubts, extended by all remarks that end with a question mark, and the remaining remarks."""
     asked = (line for line in remarks if line.endswith("?"))
     return (*check.doubts, *asked), [line for line in remarks if line and not line.endswith("?")]
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
-    """Raise an error if a fit excludes at least half of the samples; the others may then fit by chance."""
+    """Raise an error if a fit excludes at least half of the samples; the remaining samples may then fit by chance."""
     left, total = int(np.count_nonzero(outliers)), len(outliers)
     if 2 * left < total or not left:
         return

@@ -86,8 +86,8 @@ def fit_hand_eye(
     setup : "eye_to_hand": fixed camera, marker on the tool. "eye_in_hand": camera on the tool, fixed marker.
     noise : noise of T_cam_marker: standard deviations (per position coordinate [m], per rotation vector component
         [rad]), or covariance (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Default: estimated.
-    noise_robot : noise of T_base_tool in the same forms, v in base axes, w in tool axes. It is never estimated, because
-        the data cannot distinguish the two noise sources. Default: exact poses.
+    noise_robot : noise of T_base_tool in the same forms, v in base axes, w in tool axes. The robot noise is never
+        estimated, because the data cannot distinguish the two noise sources. Default: exact poses.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
     offset : camera delay in samples: T_cam_marker[i] shows robot pose i - offset. Requires consecutive, evenly
         spaced samples of a motion. Default: estimated as the last parameter if the motion determines it; an estimated
@@ -105,7 +105,7 @@ def fit_hand_eye(
     ShapeError : wrong shapes, rows with NaN, invalid rotations, left-handed axes.
     UnknownName : unknown setup.
     NotExcited : too few poses, or an unidentifiable direction (named in the message).
-    NotConverged : inconsistent records, for example because of wrong pairing, inverse poses or millimetres.
+    NotConverged : inconsistent records, for example because of wrong pairing, inverse poses or lengths in millimetres.
 
     References
     ----------
@@ -137,7 +137,8 @@ def equation_of(
     RB, tB, second = poses(T_cam_marker, "T_cam_marker")
     if len(RA) != len(RB):
         raise ShapeError(
-            f"Expected equal numbers of robot and marker poses, got {len(RA)} and {len(RB)}. Pair them by time first."
+            "Expected equal numbers of robot and marker poses, got "
+            f"{len(RA)} and {len(RB)}. Pair the poses by time first."
         )
     N = len(RA)
     of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
@@ -472,7 +473,7 @@ def require_samples(N: int, least: int, what: str) -> None:
         raise NotExcited(
             f"Expected at least {least} pairs of {what}, got {N}. Use poses that rotate the tool about two axes.",
             [f"everything: {N} poses"],
-            [f"{N} of at least {least} poses"],
+            [f"{N} poses (at least {least} required)"],
         )
 
 
@@ -530,7 +531,7 @@ def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution
     if not given and (left[0] > COARSE * spread or (left[-1] > ROUGH and len(left) == 2)):
         lines.append("residuals are too large for a sensor: are some samples wrong?")
     if spread > FAR:
-        lines.append(f"positions spread over {spread:.3g} m: millimetres given as metres?")
+        lines.append(f"positions spread over {spread:.3g} m: were millimetres given as metres?")
     if turns.max() > FIRST_ORDER:
         lines.append("standard deviations of rotations exceed 3 degrees and are only first-order approximations")
     return lines

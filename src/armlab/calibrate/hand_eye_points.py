@@ -100,8 +100,8 @@ def fit_hand_eye_points(
     ShapeError : wrong shapes, NaN in visible points, invalid rotations.
     UnknownName : unknown setup.
     NotExcited : too few poses or points, or an unidentifiable direction (named in the message).
-    NotConverged : inconsistent records, for example because of wrong pairing, inverse poses, millimetres or left-handed
-        camera axes.
+    NotConverged : inconsistent records, for example because of wrong pairing, inverse poses, lengths in millimetres or
+        left-handed camera axes.
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
@@ -162,8 +162,8 @@ def _point_model(
         )
     if len(RA) != len(p):
         raise ShapeError(
-            f"Expected equal numbers of robot poses and point samples, got {len(RA)} and {len(p)}. Pair them by "
-            "time first, and mark missing points with visible=."
+            f"Expected equal numbers of robot poses and point samples, got {len(RA)} and "
+            f"{len(p)}. Pair poses and points by time first, and mark missing points with visible=."
         )
     RA, tA, of_robot = robot_side(RA, tA, pose_noise(noise_robot, len(RA), "noise_robot"), setup)
     cov = point_noise(noise, seen.shape)

@@ -58,8 +58,9 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     wrong = off > so3.ROTATION_TOLERANCE
     if wrong.any():
         raise ShapeError(
-            f"Expected rotations in {name}, got matrices off by up to {off.max():.2g} in rows "
-            f"{rows_text(np.flatnonzero(wrong))}. Project them with lie.so3.project if they are meant to be rotations."
+            f"Expected rotations in {name}, got matrices that deviate by up to {off.max():.2g} in rows "
+            f"{rows_text(np.flatnonzero(wrong))}. Project the matrices "
+            "with lie.so3.project if they are meant to be rotations."
         )
     mirrored = np.flatnonzero(np.linalg.det(R) < 0)
     if len(mirrored):
@@ -70,7 +71,7 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     note, near = "", off > so3.NEGLIGIBLE
     if near.any():
         R = so3.orthonormalise(R)
-        note = f"{np.count_nonzero(near)} rotations in {name} were off by up to {off.max():.2g} and were projected"
+        note = f"{np.count_nonzero(near)} rotations in {name} deviated by up to {off.max():.2g} and were projected"
     return R, note
 
 

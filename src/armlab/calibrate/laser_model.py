@@ -286,7 +286,7 @@ def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
             f"Expected at least {needed} values and two scans of each of {scans.P} planes, got {scans.numbers} "
             f"values from {where}. Scan each plate from many directions.",
             [where],
-            [f"{scans.numbers} of {needed} values"],
+            [f"{scans.numbers} values (at least {needed} required)"],
         )
     require_two_axes(scans.RA, SHAKEN, "tool", ("the sensor", "every plane"))
 

@@ -4,7 +4,7 @@ Maximum-likelihood estimate from lines or raw profiles in the laser plane (resid
 is needed, and plates may pass through the origin. Problem statement: Bagge Carlson, Johansson and Robertsson (2015).
 
 The best initial guess of each group is fitted first. If the fit is inconsistent with the noise, every initial guess of
-the group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans. Scaling rho by the median
+the group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` applied to whole scans. Scaling rho by the median
 residual makes these steps robust to unknown noise and outliers. Only the two best results are then fitted to
 convergence, which limits the computing time for scans that cannot be fitted.
 """
@@ -113,7 +113,7 @@ def fit_laser_plane(
     found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
     chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the given noise"
     spread = data.spread(scene)
-    wide = f"points spread over {spread:.3g} m: millimetres given as metres?" * (spread > FAR_APART)
+    wide = f"points spread over {spread:.3g} m: were millimetres given as metres?" * (spread > FAR_APART)
     rough = ""
     if data.noise is None and not _is_clear(data, found):
         angle = f" and {np.degrees(found.sigma[1]):.2g} deg" if len(found.sigma) > 1 else ""
@@ -181,8 +181,8 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
     fat = np.array([i for i, (_, s, _) in enumerate(shapes) if s[1] > FAT * s[0]], dtype=int)
     if len(fat):
         raise ShapeError(
-            f"Expected profiles of flat plates, got profiles that are not lines in rows {rows_text(fat)}. Crop them "
-            "to the plate."
+            "Expected profiles of flat plates, got profiles that are not "
+            f"lines in rows {rows_text(fat)}. Crop the profiles to the plate."
         )
     owner = np.repeat(np.arange(N), [len(one) for one in profiles])
     return p, np.array([V[0] for _, _, V in shapes]), np.concatenate(profiles), owner
@@ -191,7 +191,7 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
 def _shape_text(N: int, got: Any) -> str:
     return (
         f"Expected {N} scans, one per pose: lines of shape ({N}, 4), each a point and a unit direction in the laser "
-        f"plane, or profiles of shape (K, 2), got {got}. Match them with the poses first."
+        f"plane, or profiles of shape (K, 2), got {got}. Match the scans with the poses first."
     )
 
 

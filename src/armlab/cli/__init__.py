@@ -188,7 +188,7 @@ def _short_warnings() -> Iterator[None]:
 def _interruptible() -> Iterator[list[int]]:
     """Treat SIGTERM and a closed terminal like Ctrl-C; yield the list of received signals.
 
-    Logs are thus closed and simulators are stopped.
+    This ensures that logs are closed and simulators are stopped.
     """
     came: list[int] = []
 

@@ -19,9 +19,9 @@ from armlab.motion.primitive.run import Rollout
 Dofs = Sequence[int] | None
 
 Plant = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""``(t, ya, ya', ya_ref'') -> ya''`` of an arm with imperfect tracking."""
+"""Plant of an arm with imperfect tracking: ``(t, ya, ya', ya_ref'') -> ya''``."""
 FULL_SPEED = np.array([1.0, 1.0, 0.0])
-"""Nominal speed of a control law: value at the beginning of a step, value at its end, and rate of change."""
+"""Nominal clock speed of a control law: values at the beginning and the end of a step, and rate of change."""
 _SLACK = 1e-9  # tolerance for rounding of times, as a fraction of a step
 
 
@@ -109,7 +109,7 @@ class Displace(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoDofRun(Shown):
-    """Simulated or recorded run at N times; at the time of an event, values are from just before the event.
+    """Simulated or recorded run at N times; values at the time of an event are those just before the event.
 
     Attributes
     ----------
@@ -121,8 +121,8 @@ class TwoDofRun(Shown):
     x : (N,) phase; (N, n) with schedule "position".
     tau_a : (N,) time constant [s].
     frozen : (N,) whether the path was paused.
-    free : the undisturbed primitive.
-    disturbed : (t0, t1) of each disturbance [s], in order; t0 = t1 for an impact.
+    free : run of the undisturbed primitive.
+    disturbed : interval (t0, t1) of each disturbance [s], in order; t0 = t1 for an impact.
     """
 
     t: np.ndarray
@@ -148,7 +148,7 @@ def simulated(
 ) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
     """Return the states (N, 5 n + 2) of a control law at times t (N,) [s], and the disturbed intervals.
 
-    Steps are at most `longest` [s] long and end at every event; at most one event may be a plant.
+    Integration steps are at most `longest` [s] long and end at every event; the events may include one plant.
     """
     scene = _EventSequence(events, law.n)
     edges = [edge for edge in scene.edges if t[0] < edge < t[-1]]
@@ -219,7 +219,7 @@ class _EventSequence:
         return y
 
     def _step(self, law: Any, t: float, y: np.ndarray, h: float, moved: np.ndarray) -> np.ndarray:
-        """Return the state after one fourth-order step of control law and plant together."""
+        """Return the state after one fourth-order step of the control law and the plant together."""
         k1 = self._slopes(law, t, y, moved)
         k2 = self._slopes(law, t + 0.5 * h, y + 0.5 * h * k1, moved)
         k3 = self._slopes(law, t + 0.5 * h, y + 0.5 * h * k2, moved)

@@ -26,8 +26,9 @@ class Dmp(Equation, Saved, kind="dmp"):
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + s (psi(x) w) x``, ``tau_d x' = -alpha_x x``: a critically
     damped spring towards the goal, and a decaying forcing term. The weights have the unit of the demonstration; s
-    scales the forcing with the goal (`scaling`). With `schedule` "time", the phase is time / duration, and the forcing
-    fades out over the following tenth of the duration. With "position", the progress of each coordinate is its phase.
+    scales the forcing with the goal (`scaling`). With `schedule` "time", the phase is time / duration, and after the
+    end, the forcing fades out over a tenth of the duration. With "position", each coordinate has its own phase, namely
+    its progress towards the goal.
 
     Attributes
     ----------
@@ -37,7 +38,7 @@ class Dmp(Equation, Saved, kind="dmp"):
     y0, v0, g : (n,) start, start velocity and goal of the demonstration.
     extent : (n,) range of the demonstration.
     peak_acceleration : (n,) largest acceleration of the demonstration.
-    monotone : (n,) whether the coordinate never reversed.
+    monotone : (n,) whether each coordinate moves in one direction only.
     alpha_z, beta_z, alpha_x : spring and phase constants.
     schedule : "canonical", "time" or "position".
     scaling : scaling of the forcing: "goal", "none", "amplitude" or "rotate".
@@ -107,7 +108,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         return clock(number(dt, "dt [s]"), self.duration if duration is None else duration)
 
     def rollout(self, t: ArrayLike, **run: Unpack[RunOptions]) -> Rollout:
-        """Run the primitive with one step per interval, exact for the spring and of fourth order for the forcing.
+        """Run the primitive with one step per interval; steps are exact for the spring, fourth-order for the forcing.
 
         Omitted arguments default to the values of the demonstration. Use `solve` if the times are far apart compared
         with the kernel widths.
@@ -181,9 +182,9 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Parameters
         ----------
-        goal_forcing : effect of a goal change on the forcing: "shift" leaves it unchanged, "scale" scales it with
-            the displacement. Default: "scale" with scaling "goal", otherwise "shift".
-        goal_rate : rate of a first-order goal filter, times tau_d; 0: no filter.
+        goal_forcing : effect of a goal change on the forcing: "shift" leaves the forcing unchanged, "scale" scales the
+        forcing with the displacement. Default: "scale" with scaling "goal", otherwise "shift".
+        goal_rate : product of tau_d and the rate of a first-order goal filter; 0: no filter.
         brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a goal change, where a is 1.05 times the
             peak acceleration of the demonstration.
         **run : as in `rollout`.
@@ -206,7 +207,8 @@ class Dmp(Equation, Saved, kind="dmp"):
     ) -> Controller:
         """Return a controller ``State -> Command`` for `armlab.bridge` that starts at rest at the measured position.
 
-        It sends the path in open loop; `TwoDofDmp.controller` makes the path wait for an arm that is held back.
+        The controller sends the path in open loop; `TwoDofDmp.controller` makes the path wait for an arm that is held
+        back.
 
         Parameters
         ----------
@@ -266,11 +268,12 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
     """Return the primitive, changed as little as possible to reach given positions or velocities at given times.
 
     The motion is linear in the weights, so via-points are linear constraints ``C dw = c``. Among all solutions, the
-    change with the smallest ``sum |dy|^2`` over the duration is selected. The motion with the start, goal and duration
-    of the demonstration passes through the points; other motions are scaled from it.
+    change with the smallest ``sum |dy|^2`` over the duration is selected. A run with the start, goal and duration of
+    the demonstration passes through the points; other runs are scaled versions of this motion.
 
-    With a velocity at the goal and the end time, the motion does not end at rest: continue with `profiles.quintic` or
-    another primitive. Otherwise the motion returns to the goal and settles.
+    If a velocity is prescribed at the end of the motion, the primitive does not end at rest: continue with
+    `profiles.quintic` or another primitive. Without such a continuation, the motion returns to the goal and settles
+    there.
 
     Parameters
     ----------
@@ -316,7 +319,7 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
 
 
 def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Return the map (m, r) from constraint residuals to weights that minimises ``|Y dw|`` subject to ``C dw = c``."""
+    """Return the matrix (m, r) from residuals c to the weight change with the least ``|Y dw|`` for ``C dw = c``."""
     s, V = np.linalg.svd(Y, full_matrices=False)[1:]
     inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # inverse of a square root of the quadratic form
     steps = C @ inverse

@@ -86,8 +86,8 @@ class AvoidingDmp(Shown):
 
     Attributes
     ----------
-    dmp : primitive, or the result of `fit_dmp`, with a time-based phase. It has two or three coordinates [m], or the
-        joints of `robot`.
+    dmp : primitive, or the result of `fit_dmp`, with a time-based phase. Its coordinates are two or three positions
+    [m], or the joints of `robot`.
     obstacles : obstacles in the coordinates of the motion, or in base axes for a robot.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].
@@ -124,11 +124,11 @@ class AvoidingDmp(Shown):
         if self.dmp.schedule == "position" or self.dmp.n not in wanted:
             raise ConfigError(
                 f"Expected a primitive of {' or '.join(map(str, wanted))} coordinates with a time-dependent phase, "
-                f"got {self.dmp.n} with schedule {self.dmp.schedule!r}. Pass the robot if these coordinates are joint "
+                f"got {self.dmp.n} coordinates with schedule {self.dmp.schedule!r}. Pass the robot if these coordinates are joint "
                 "positions."
             )
         if self.robot is None and (self.tool is not None or self.links):
-            raise ConfigError("Expected tool and links only with a robot, got no robot. Pass robot=...")
+            raise ConfigError("Expected a robot for the capsules of the tool and links, got no robot. Pass robot=...")
         for name in ("clearance", "reach"):
             object.__setattr__(self, name, number(getattr(self, name), f"{name} [m]", ConfigError))
         if not 0.0 <= self.clearance < self.reach < np.inf:
@@ -232,7 +232,8 @@ class AvoidingDmp(Shown):
         """Raise an error if the start or the goal is within the clearance of the current obstacles."""
         if not (least := float(around.distance(y))) > self.clearance:
             raise ShapeError(
-                f"Expected the {name} outside the clearance of every obstacle, got a distance of {least:.4g} m. Move "
+                f"Expected the {name} to be outside the clearance of "
+                f"every obstacle, got a distance of {least:.4g} m. Move "
                 f"the {name}, or reduce the clearance of {self.clearance:g} m."
             )
 
@@ -263,7 +264,7 @@ def _bodies(robot: Robot, tool: Capsule | None, links: Mapping[int, Capsule]) ->
 
 
 class AvoidingStepper(Stepper):
-    """One run of an `AvoidingDmp`, sample by sample; created by `AvoidingDmp.stepper`."""
+    """Sample-by-sample run of an `AvoidingDmp`; created by `AvoidingDmp.stepper`."""
 
     def __init__(self, avoiding: AvoidingDmp, run: RunParameters, around: Any) -> None:
         self._around, self._avoiding = around, avoiding

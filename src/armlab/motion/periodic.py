@@ -89,11 +89,11 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         return self.weights.shape[1]
 
     def primitive_from(self, phase: float = 0.0) -> Any:
-        """Return an `armlab.kernels.Primitive` that begins at a phase.
+        """Return an `armlab.kernels.Primitive` that begins at a given phase.
 
         Parameters
         ----------
-        phase : phi at its start [rad].
+        phase : phi at the start of the run [rad].
         """
         widths = np.full(len(self.centres), 1.0 / np.sqrt(self.h))
         stiffness = self.alpha_z * self.beta_z
@@ -123,7 +123,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     def _start_state(
         self, period: float | None, g: ArrayLike | None, r: float, y0: Any, v0: Any, phase: float
     ) -> Start:
-        """Return time constant, position, velocity, baseline and scale of a run; default start: steady state."""
+        """Return time constant, position, velocity, baseline and scale of a run; by default in steady state."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, size = self.g if g is None else vector(g, "g", self.n), amplitude(r)
         y, rate = self.steady(number(phase, "phase [rad]"))
@@ -174,8 +174,8 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     ) -> PeriodicStepper:
         """Return a stepper that runs the primitive sample by sample; baseline, amplitude and period may change.
 
-        Its ``step(dt)`` and `state` return y, yd and ydd, each (n,). ``change(g=..., r=..., period=...)`` changes
-        parameters without a jump, and ``reset()`` returns to the start; `phase` is the current phi [rad].
+        The stepper's ``step(dt)`` and `state` return y, yd and ydd, each (n,). ``change(g=..., r=..., period=...)``
+        changes parameters without a jump, and ``reset()`` returns to the start; `phase` is the current phi [rad].
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
 
 def amplitude(r: Any) -> float:
-    """Return a finite amplitude."""
+    """Return the amplitude r as a float, or raise an error if it is not finite."""
     found = number(r, "r")
     if not np.isfinite(found):
         raise ShapeError(f"Expected a finite amplitude r, got {found:g}. The demonstration has r = 1.")
@@ -228,7 +228,7 @@ def transfer(alpha: float, stiffness: float) -> np.ndarray:
 
 
 class PeriodicStepper:
-    """One run of a `PeriodicDmp`, sample by sample; created by `PeriodicDmp.stepper`, equivalent to a rollout."""
+    """Sample-by-sample run of a `PeriodicDmp`, equivalent to a rollout; created by `PeriodicDmp.stepper`."""
 
     def __init__(self, dmp: PeriodicDmp, start: Start, phase: float) -> None:
         self._n, self._first, self._phase = dmp.n, start, phase
@@ -252,7 +252,7 @@ class PeriodicStepper:
 
     @property
     def phase(self) -> float:
-        """Current phase phi [rad], increasing."""
+        """Current phase phi [rad], which keeps increasing from period to period."""
         return self._phase + self._kernel.elapsed
 
     def change(self, *, g: ArrayLike | None = None, r: float | None = None, period: float | None = None) -> None:
@@ -297,7 +297,7 @@ class PeriodicController(Controller):
         return at_pace(self._stepper.state, pace)
 
     def _share(self) -> float:
-        """Return the current fraction of the amplitude: a smooth step up over the first period, down over the last."""
+        """Return the current fraction of the amplitude: smooth rise in the first period, smooth fall in the last."""
         turn = self._elapsed / self._period
         u = min(max(min(turn, self._turns - turn), 0.0), 1.0)
         return u * u * (3.0 - 2.0 * u)
@@ -330,12 +330,13 @@ def fit_periodic_dmp(
     ----------
     t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : period [s]. An error of 1 % ruins a fit to ten periods: try several values and keep the one with the
-        smallest `sigma`.
+    period : period [s]. An error of 1 % in the period ruins a fit to ten periods: try several values and keep the one
+        with the smallest `sigma`.
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
-    g : (n,) baseline; default: the mean of the samples. The kernels compensate for any difference.
-    alpha_z : constant of the spring, critically damped.
+    g : (n,) baseline; default: the mean of the samples. The kernels compensate for a baseline that differs from the
+    mean.
+    alpha_z : constant of the critically damped spring.
     ridge : penalty on the squared weights.
 
     Returns
@@ -347,13 +348,14 @@ def fit_periodic_dmp(
     ShapeError : wrong shapes, NaN or non-increasing times (with row numbers), a non-positive period, or several
         demonstrations.
     ConfigError : options out of range.
-    NotExcited : part of the period without samples, and no ridge.
+    NotExcited : part of the period has no samples, and no ridge is set.
     """
     kernel_count(n_basis, 25)
     demos = read_demos(t, y, None)
     if len(demos) > 1:
         raise ShapeError(
-            f"Expected one demonstration, got {len(demos)} with different initial phases. Fit a single recording "
+            f"Expected one demonstration, got {len(demos)} demonstrations "
+            "with different initial phases. Fit a single recording "
             "of many periods."
         )
     demo = demos[0]

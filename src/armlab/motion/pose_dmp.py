@@ -77,8 +77,9 @@ class PoseRollout(Shown):
 class PoseDmp(Saved, kind="pose_dmp"):
     """Movement primitive of poses.
 
-    The position is a `Dmp`. The orientation has a spring along the shorter rotation to its goal, and a forcing over the
-    same phase. The forcing is scaled by the rotation vector from start to goal (docs/theory/pose_dmp.md).
+    The position is a `Dmp`. The orientation is driven by a spring along the shorter rotation to its goal, and by a
+    forcing term with the same phase. The forcing is scaled by the rotation vector from start to goal
+    (docs/theory/pose_dmp.md).
 
     Attributes
     ----------
@@ -193,7 +194,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
     def stepper(self, **run: Unpack[PoseRunOptions]) -> PoseStepper:
         """Return a stepper that runs the primitive sample by sample; the goal may change.
 
-        Its ``step(dt)`` and `state` return the pose (4, 4), the twist (6,) and its derivative (6,);
+        The stepper's ``step(dt)`` and `state` return the pose (4, 4), the twist (6,) and its derivative (6,);
         ``change_goal(goal)`` sets a new goal pose, and ``reset()`` returns to the start.
 
         Parameters
@@ -233,7 +234,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
 @dataclass(frozen=True)
 class PoseRun:
-    """One run of both parts in the axes of the forcing; A (3, 3) rotates these axes into base axes."""
+    """One run of position and orientation in the axes of the forcing; A (3, 3) rotates these axes into base axes."""
 
     A: np.ndarray
     position: RunParameters
@@ -248,7 +249,7 @@ class PoseRun:
 
 
 class PoseStepper:
-    """One run of a `PoseDmp`, sample by sample; created by `PoseDmp.stepper`, equivalent to a rollout."""
+    """Sample-by-sample run of a `PoseDmp`, equivalent to a rollout; created by `PoseDmp.stepper`."""
 
     def __init__(self, dmp: PoseDmp, run: PoseRun) -> None:
         self._dmp, self._first = dmp, run
@@ -266,7 +267,7 @@ class PoseStepper:
         """Change the goal pose; both forcings are scaled as if the goal had been set from the start."""
         if self._dmp.frame == "goal":
             raise ConfigError(
-                "Expected a forcing in base axes to change the goal, got a forcing in goal axes. Start again from "
+                "Expected a forcing in base axes for a goal change, got a forcing in goal axes. Start again from "
                 "the current pose, or use frame='base'."
             )
         first = self._first
@@ -274,7 +275,7 @@ class PoseStepper:
         run = self._dmp._run_of(tau_d=first.position.tau, start=start, twist0=np.zeros(6), goal=goal)
         if run.position.primitive is not self._first.position.primitive:
             raise ConfigError(
-                "Expected scaling 'goal' or 'none' to change the goal, got 'rotate'. Fit with 'goal' or 'none'."
+                "Expected scaling 'goal' or 'none' for a goal change, got 'rotate'. Fit with 'goal' or 'none'."
             )
         self._position.change_goal(run.position.g, run.position.scale)
         self._rotation.change_goal(run.q1, run.turning[4])
@@ -308,7 +309,7 @@ class PoseDmpController(Controller):
         goal = matrix(*pose(g, "goal"))
         if not inverse(self._robot, goal).success:
             raise ShapeError(
-                f"Expected a goal that {self._robot.name} reaches within its limits, got an unreachable pose."
+                f"Expected a goal that {self._robot.name} can reach within its limits, got an unreachable pose."
             )
         return goal
 
@@ -382,7 +383,7 @@ def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def orientation(value: ArrayLike, what: str) -> np.ndarray:
-    """Return unit quaternions (..., 4), the first with the sign of the conversion from a rotation matrix."""
+    """Return unit quaternions (..., 4), with the sign that makes w of the first quaternion positive."""
     q = numbers(value, what, ShapeError)
     if q.shape[-1:] != (4,):
         raise ShapeError(f"Expected {what} to be quaternions wxyz (..., 4), got shape {q.shape}.")
@@ -396,12 +397,12 @@ def orientation(value: ArrayLike, what: str) -> np.ndarray:
 
 
 def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) of the shorter rotation, base axes; half a turn raises an error."""
+    """Return the rotation vector (3,) of the shorter rotation from q0 to q1 in base axes; reject half a turn."""
     way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
     if np.linalg.norm(way) > np.pi - HALF_TURN:
         raise ShapeError(
-            "Expected start and goal less than half a turn apart, got half a turn, where both directions are equally "
-            "long. Use an intermediate orientation."
+            "Expected start and goal less than half a turn apart, got half a turn, "
+            "for which neither direction is shorter. Use an intermediate orientation."
         )
     return way
 
@@ -454,7 +455,7 @@ def fit_pose_dmp(
     Parameters
     ----------
     t : (N,) increasing times [s].
-    T : (N, 4, 4) poses, or (N, 7): position and quaternion wxyz, each of either sign.
+    T : (N, 4, 4) poses, or (N, 7): position and quaternion wxyz of either sign.
     n_basis, schedule, convention, hold : as in `fit_dmp`; schedule "position" is not supported.
     scaling : scaling of the forcing with start and goal: "goal", "none" or, for the position, "rotate".
     frame : axes of the forcing, "base" or "goal"; goal axes rotate with the goal.
@@ -467,7 +468,7 @@ def fit_pose_dmp(
     Raises
     ------
     ShapeError : invalid poses, NaN (with row numbers), times that do not increase, an orientation more than 3 rad from
-        the last.
+    the last orientation.
     UnknownName : unknown options.
     ConfigError : schedule "position".
     NotConverged : Gauss-Newton did not converge.
@@ -582,9 +583,9 @@ def _error(dmp: Dmp, times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _slopes(dmp: Dmp, times: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Return rotation sensitivities (R, 3, 3 m + 9) to weights (m, 3), start velocity, start and goal rotation.
+    """Return the sensitivities (R, 3, 3 m + 9) of the rotation to weights (m, 3), start velocity, start and goal.
 
-    They are integrated by the implicit midpoint rule, with steps of at most a thousandth of the duration.
+    The sensitivities are integrated by the implicit midpoint rule, with steps of at most a thousandth of the duration.
     """
     parts = np.ceil(np.diff(times) / (dmp.duration / FINE) * (1 - 1e-9)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])

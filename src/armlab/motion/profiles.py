@@ -41,7 +41,7 @@ def minimum_jerk(q0: ArrayLike, q1: ArrayLike, duration: float, dt: float = PERI
     ``q0 + (q1 - q0)(10 u^3 - 15 u^4 + 6 u^5)``.
 
     With ``u = t / duration``, the largest speed is 15/8 of the mean, and the largest acceleration is ``10/sqrt(3)``
-    times ``|q1 - q0| / duration^2``. `Profile.slowed` finds the shortest duration within limits.
+    times ``|q1 - q0| / duration^2``. `Profile.slowed` finds the shortest duration within given limits.
 
     Parameters
     ----------
@@ -223,7 +223,8 @@ def time_optimal(
 ) -> Profile:
     """Return the fastest motion within velocity, acceleration and jerk limits; all joints arrive together.
 
-    The slowest joint moves in minimum time, and the other joints take the same time. The path is not a straight line.
+    The slowest joint moves in minimum time, and the other joints take the same time. The path is not a straight line in
+    joint space.
 
     Parameters
     ----------
@@ -301,7 +302,7 @@ class Profile(Shown):
             raise ShapeError("Expected finite coefficients, got NaN or Inf. Use longer durations or lower rates.")
         if not breaks[-1] < dt * arguments.MAX_SAMPLES:
             raise ShapeError(
-                f"Expected fewer than {arguments.MAX_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
+                f"Expected fewer than {arguments.MAX_SAMPLES} samples, got a duration of {breaks[-1]:g} s at dt = {dt:g} s. "
                 "Use a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
@@ -338,7 +339,7 @@ class Profile(Shown):
         return q, np.where(moving, qd, 0.0), np.where(moving, qdd, 0.0)
 
     def slowed(self, qd_max: ArrayLike = np.inf, qdd_max: ArrayLike = np.inf) -> Profile:
-        """Return the same path, slowed down until it is within the limits; unchanged if it already is.
+        """Return the same path, slowed down to satisfy the limits; unchanged if it already satisfies them.
 
         ``k = max(1, max |qd| / qd_max, sqrt(max |qdd| / qdd_max))``.
 
@@ -446,7 +447,7 @@ def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tup
 def ruckig_pieces(
     q0: np.ndarray, q1: np.ndarray, qd0: np.ndarray, qd1: np.ndarray, *limits: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks (M + 1,) and coefficients (M, 6, n)."""
+    """Return breaks (M + 1,) and coefficients (M, 6, n) of the motion planned by ruckig."""
     try:
         import ruckig  # pyright: ignore[reportMissingImports]
     except ImportError:

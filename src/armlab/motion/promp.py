@@ -197,7 +197,7 @@ class ProMP(Saved, kind="promp"):
             spreads.append(_covariance(spread, len(index)))
         if not rows:
             raise ShapeError(
-                "Expected a position or a velocity to pass, got neither y nor yd. Pass at least one of them."
+                "Expected a position or a velocity to condition on, got neither y nor yd. Pass at least one of them."
             )
         k, R = len(index), np.zeros((len(rows), len(index), len(rows), len(index)))
         for i, spread in enumerate(spreads):
@@ -213,8 +213,8 @@ class ProMP(Saved, kind="promp"):
         along = vectors.T @ off
         if np.any(np.abs(along[~free]) > UNLIKELY * (1.0 + np.abs(z).max())):
             raise ShapeError(
-                "Expected a point within the distribution, got a point along a direction without variation between "
-                "the demonstrations. Pass a covariance of the point, or use more demonstrations."
+                "Expected a point within the distribution, got a point offset in a direction in which the "
+                "demonstrations do not vary. Pass a covariance of the point, or use more demonstrations."
             )
         gain = H_cov.T @ ((vectors[:, free] / values[free]) @ vectors[:, free].T)
         cov = self.cov - gain @ H_cov - (H_cov.T - gain @ S) @ gain.T  # Joseph form, expanded
@@ -342,7 +342,7 @@ def fit_promp(
     """Fit the mean and covariance of the weights to M demonstrations, separated from measurement noise.
 
     The covariance is the weight variation between demonstrations that measurement noise does not explain. In the mean,
-    each demonstration is weighted by the inverse sum of both covariances (docs/theory/promp.md).
+    each demonstration is weighted by the inverse of the sum of both covariances (docs/theory/promp.md).
 
     Parameters
     ----------
@@ -352,8 +352,8 @@ def fit_promp(
 
     Returns
     -------
-    Fit of a `ProMP`. The parameters are the mean weights. Their covariance has at most rank M - 1 and determines
-    barely more than M / 4 weights. `residuals` has shape (all samples, n).
+    Fit of a `ProMP`. The parameters are the mean weights. The covariance of the weights has at most rank M - 1 and
+    determines barely more than M / 4 weights. `residuals` has shape (all samples, n).
 
     Raises
     ------

@@ -103,7 +103,7 @@ def retimed(
     """Return the motion on the same path, slowed down only where a limit requires it.
 
     The path has the time-optimal parameterisation with a clock rate of at most 1 (the rate of the demonstration). The
-    motion never takes longer than with uniform slow-down to `shortest_duration`. Its acceleration is discontinuous, so
+    motion never takes longer than with uniform slow-down to `shortest_duration`. The acceleration is discontinuous, so
     the jerk is unbounded.
 
     Parameters
@@ -175,7 +175,7 @@ class PacedDmp(Shown):
         return float(np.interp(self.dmp.duration, self.s, self.t))
 
     def _clock(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the primitive's clock, its rate and the derivative of the rate, each (...)."""
+        """Return the time on the primitive's clock, the clock rate and the derivative of the rate, each (...)."""
         times = np.asarray(t, dtype=float)
         i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, None)
         since, change = times - self.t[i], self.change[i]
@@ -207,7 +207,7 @@ class PacedDmp(Shown):
 
         Parameters
         ----------
-        **run : `RunOptions` that differ from the plan, except the duration; the clock rate stays as planned.
+        **run : `RunOptions` that override the plan, except the duration; the planned clock rate is kept.
 
         Raises
         ------
@@ -220,8 +220,8 @@ class PacedDmp(Shown):
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
         """Return a controller ``State -> Command`` that runs at this clock rate, from rest at the measured position.
 
-        The limits hold as planned if the arm is at the planned start. With a different start or goal, the path differs,
-        but the clock rate stays the same. The references are clipped to the limits of the controller
+        The motion stays within the limits if the arm begins at the planned start. With a different start or goal, the
+        path differs, but the clock rate stays the same. The references are clipped to the limits of the controller
         (`Controller.clamped`).
 
         Parameters
@@ -236,7 +236,7 @@ class PacedDmp(Shown):
 
 
 class PacedStepper:
-    """One run of a `PacedDmp`, sample by sample; created by `PacedDmp.stepper`."""
+    """Sample-by-sample run of a `PacedDmp`; created by `PacedDmp.stepper`."""
 
     def __init__(self, paced: PacedDmp, run: RunOptions) -> None:
         self._paced, self._inner = paced, paced.dmp.stepper(**run)
@@ -318,7 +318,7 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
 
 def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
-    """Return the largest z (M,) with a feasible next z under the inequalities of the same interval only."""
+    """Return the largest z (M,) for which a feasible next z exists, given only the inequalities of that interval."""
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(b != 0.0, 1.0 / b, 0.0)
     flat, rises, falls = b == 0.0, b > 0.0, b < 0.0

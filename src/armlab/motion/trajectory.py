@@ -55,7 +55,7 @@ GOAL_TOLERANCE = Tolerance(0.01, 0.02)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointTrajectory(Shown):
-    """Points of a motion at given times, such as a ``trajectory_msgs/JointTrajectory``.
+    """Joint positions at given times, as in a ``trajectory_msgs/JointTrajectory``.
 
     Between points, the motion is a polynomial: linear for positions only, cubic with velocities, quintic with
     velocities and accelerations. If the first point is after time 0, the motion begins at the current position.
@@ -219,7 +219,7 @@ class JointTrajectory(Shown):
 
         Raises
         ------
-        UnknownName, ShapeError : the joints differ from those of the robot, or the motion is outside the limits.
+        UnknownName, ShapeError : the joints differ from the joints of the robot, or the motion is outside the limits.
         """
         trajectory = self.ordered(robot.ros_joint_names)
         trajectory.check(robot if limits is None else limits)
@@ -239,7 +239,7 @@ class TrajectoryController:
     ----------
     ending : "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside that tolerance),
         or "interrupted".
-    reason : cause, if the motion ended without arriving.
+    reason : cause, if the motion ended before the arm arrived.
     t : trajectory time [s].
     """
 
@@ -315,8 +315,7 @@ class TrajectoryController:
             i = int(np.argmax(speed / self._qd_max))
             return self._fail(
                 "refused",
-                f"Expected speeds up to {self._qd_max[i]:.4g} for {names[i]}, got {speed[i]:.4g} from the arm to the "
-                f"first point, {off[i]:.4g} away in {h:.3f} s. Begin at the position of the arm, or give the first "
+                f"Expected speeds up to {self._qd_max[i]:.4g} for {names[i]}, got {speed[i]:.4g} to reach the first point, which is {off[i]:.4g} away, in {h:.3f} s. Begin at the position of the arm, or give the first "
                 "point a later time.",
             )
         return ""
@@ -380,7 +379,9 @@ class TrajectoryController:
             self.ending = "arrived"
         elif self.t > self._trajectory.t[-1] + self._goal_time:
             what = what or f"a reference {sent:.3g} away from the goal"
-            self._fail("goal", f"Expected the arm at the goal {self._goal_time:g} s after the last point, got {what}.")
+            self._fail(
+                "goal", f"Expected the arm to be at the goal {self._goal_time:g} s after the last point, got {what}."
+            )
 
     def _fail(self, ending: Ending, reason: str) -> str:
         self.ending, self.reason = ending, reason
@@ -388,7 +389,7 @@ class TrajectoryController:
 
 
 def _is_known(state: State) -> bool:
-    """Return whether a reference was sent."""
+    """Return whether the State contains the last reference sent."""
     return len(state.q_sent) > 0 and not np.isnan(state.q_sent).any()
 
 

@@ -169,10 +169,10 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
         """Return a stepper that runs the control law sample by sample with measured positions.
 
-        Its ``step(dt, ya, yad)`` takes the time since the last sample [s] (0 at the first sample), and the measured
-        position and velocity (n,). It returns `yc`, `ycd`, `ycdd` of the coupled path and the reference acceleration
-        `ydd_ref`, each (n,). ``change_goal(g)`` changes the goal (n,), and ``reset()`` returns to the start. `x`,
-        `tau_a` [s], `e` (n,), `frozen` and `has_ended` describe the state of the run.
+        The stepper's ``step(dt, ya, yad)`` takes the time since the last sample [s] (0 at the first sample), and the
+        measured position and velocity (n,). The method returns `yc`, `ycd`, `ycdd` of the coupled path and the
+        reference acceleration `ydd_ref`, each (n,). ``change_goal(g)`` changes the goal (n,), and ``reset()`` returns
+        to the start. `x`, `tau_a` [s], `e` (n,), `frozen` and `has_ended` describe the state of the run.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ class Reference(NamedTuple):
 
 
 class TwoDofStepper:
-    """One run of a `TwoDofDmp` with measured positions; created by `TwoDofDmp.stepper`.
+    """Run of a `TwoDofDmp` with measured positions; created by `TwoDofDmp.stepper`.
 
     Between two samples, ya is extrapolated with the last measured velocity, and the control law is integrated in steps
     of at most 4 ms.
@@ -277,7 +277,7 @@ class TwoDofStepper:
 
     @property
     def x(self) -> float:
-        """Phase shared by all coordinates; with schedule "position", it only measures time."""
+        """Phase shared by all coordinates; with schedule "position", this phase only measures time."""
         return float(self._state[-2])
 
     @property

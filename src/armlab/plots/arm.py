@@ -47,7 +47,7 @@ def robot(
 
     Returns
     -------
-    The Axes, in the robot's base axes [m].
+    The Axes; coordinates are in the robot's base axes [m].
 
     Raises
     ------
@@ -158,8 +158,8 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
 
     Returns
     -------
-    The Figure. Its first title gives the name of the robot, and the minimum and maximum distances of the tool from the
-    mount.
+    The Figure. The title of the first panel gives the name of the robot, and the minimum and maximum distances of the
+    tool from the mount.
 
     Raises
     ------
@@ -277,7 +277,7 @@ def manipulability(
 
 
 def _ball(steps: int = 16) -> np.ndarray:
-    """Return the faces (2 steps², 4, 3) of the unit ball."""
+    """Return the faces (2 steps², 4, 3) of the unit sphere."""
     polar, round_ = np.linspace(0, np.pi, steps + 1), np.linspace(0, 2 * np.pi, 2 * steps + 1)
     a, b = np.meshgrid(polar, round_, indexing="ij")
     p = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], axis=-1)

@@ -26,9 +26,9 @@ _SHADE = "#B3B3B3"
 def wrench(table: Table, ax: Any = None) -> Figure:
     """Plot the estimated wrench against time, one panel per axis, with 2-sigma bands; contact is shaded.
 
-    The true wrench (`wrench_true`), the force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are drawn if
-    the table contains them. All forces have the same scale, and so do all moments. The estimates determine the scales;
-    wider bands are clipped.
+    The true wrench (`wrench_true`), the measured wrench (`wrench`) and guaranteed limits (`wrench_interval`) are drawn
+    if the table contains them. All forces have the same scale, and so do all moments. The estimates determine the
+    scales; wider bands are clipped.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _panel(ax: Axes, table: Table, sigma: np.ndarray | None, i: int, touched: np
 
 
 def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
-    """Return the scale limit, which contains the lines and a band of typical width."""
+    """Return an axis limit that leaves room for the lines and a band of typical width."""
     part = slice(3 * column, 3 * column + 3)
     lines = [table[name][:, part] for name in ("wrench_hat", "wrench_true", "wrench") if name in table]
     sizes = [np.nanquantile(np.abs(array), 0.9995) for array in lines if np.isfinite(array).any()]
@@ -159,14 +159,14 @@ _AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 def coverage(table: Table, ax: Any = None) -> Axes:
     """Plot the fraction of errors within 2 sigma against speed; a well-calibrated uncertainty covers 95.4 %.
 
-    With tau_sigma (from `identify.predict`), the figure shows the torque of each joint against its own speed. With
-    wrench_hat, it shows each wrench axis against the speed of the fastest joint; the reference is wrench_true or the
-    sensor's `wrench`. Speeds are relative to the joint's peak speed in the table. Bins with fewer than 50 samples are
-    omitted.
+    With tau_sigma (from `identify.predict`), the figure shows the coverage of each joint torque against the speed of
+    that joint. With wrench_hat, it shows the coverage of each wrench axis against the speed of the fastest joint; the
+    reference is wrench_true or the sensor's `wrench`. Speeds are relative to the joint's peak speed in the table. Bins
+    with fewer than 50 samples are omitted.
 
     Parameters
     ----------
-    table : table with these columns and qd (N, n).
+    table : table with the columns named above and qd (N, n).
     ax : Axes to draw into; default: a new figure.
 
     Raises

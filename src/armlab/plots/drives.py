@@ -34,7 +34,7 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
     """Plot the steady-state friction of each joint against velocity, with 2-sigma bands.
 
     The dark band is the uncertainty of the friction parameters. The light band adds the model's torque error at that
-    velocity, and should contain 95 % of the points. Each point is the curve value plus the residual of a row.
+    velocity, and should contain 95 % of the points. Each point is the curve value plus the torque residual of one row.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def friction_map(
     slices: ArrayLike | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Plot the sliding friction of a joint against position and velocity, as a map and as slices.
+    """Plot the sliding friction of a joint against position and velocity, as a colour map and as slices.
 
     If a table is given, its samples are drawn on the map, and cells without samples, where the map extrapolates, are
     hatched.
@@ -196,8 +196,8 @@ def spectrum(
     """Plot the amplitude of the torque residual against cycles per joint revolution, with and without the ripple model.
 
     Ripple depends on position, so its spectral lines do not depend on speed; the model's lines are marked. If the gear
-    ratios are known, the upper axis shows cycles per motor revolution. The amplitude of a line uses only rows in which
-    its frequency is below a quarter of the sampling rate.
+    ratios are known, the upper axis shows cycles per motor revolution. The amplitude of a spectral line is computed
+    only from rows in which its frequency is below a quarter of the sampling rate.
 
     Parameters
     ----------

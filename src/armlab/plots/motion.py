@@ -266,7 +266,7 @@ def promp(
     prior : distribution before conditioning, drawn in grey.
     points : via-points (t, y) with time t [s] and position y (n,).
     samples : number of random motions to sample from the distribution and draw as dotted lines.
-    seed : random seed of these motions.
+    seed : random seed of the sampled motions.
     ax : n Axes to draw into; default: a new figure.
 
     Raises
@@ -321,9 +321,9 @@ def _point(y: ArrayLike, n: int) -> np.ndarray:
 def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -> Figure:
     """Plot the disturbance and recovery of a primitive under two-degree-of-freedom control.
 
-    The top panel shows the arm ya (solid), the coupled path yc (dashed) and the undisturbed primitive (dotted). The
-    middle panel shows the filtered error e, and the bottom panel the slow-down factor of the path. Disturbances are
-    shaded.
+    The top panel shows the arm position ya (solid), the coupled path yc (dashed) and the undisturbed primitive
+    (dotted). The middle panel shows the filtered error e, and the bottom panel the slow-down factor of the path.
+    Disturbances are shaded.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
 
     Raises
     ------
-    ShapeError : a pose is invalid, `t` does not give one finite time per pose, or the number of Axes is wrong.
+    ShapeError : a pose is invalid, `t` does not contain one finite time per pose, or the number of Axes is wrong.
     """
     T = pose_stack(T)
     times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)
@@ -173,7 +173,7 @@ _QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
 
 
 def latency(table: Table, ax: Any = None) -> Axes:
-    """Plot histograms of the times from packet to reply, in the controller, and for the wake-up of the loop.
+    """Plot histograms of the packet-to-reply time, the controller's computing time and the wake-up latency of the loop.
 
     Parameters
     ----------
@@ -182,7 +182,8 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Returns
     -------
-    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title the numbers of missed and late ticks.
+    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title gives the numbers of missed and late
+    ticks.
 
     Raises
     ------

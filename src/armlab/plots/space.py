@@ -1,4 +1,4 @@
-"""3D axes and what they show: frames, pose paths, points, lines, planes, spheres."""
+"""3D axes and their contents: frames, pose paths, points, lines, planes, spheres."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
 """Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up."""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
-"""Positions of a frame's name in the frame: away from x and y, or beyond z to avoid the arm."""
+"""Positions of a frame's label in the axes of the frame: away from x and y, or beyond z to avoid the arm."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # z-order; lines have 2
 _EDGE = "#B0B0B0"  # grid colour of 3D axes
 _FLATTEST = 0.3  # minimum ratio of the shortest to the longest box side, for planar robots

@@ -211,13 +211,13 @@ _MAKERS = {
 
 
 def expect(value: object, kind: type) -> None:
-    """Reject a value whose type a figure cannot draw."""
+    """Reject a value of a type that the figure cannot draw."""
     if not isinstance(value, kind):
         raise ShapeError(f"Expected {kind.__name__} to draw, got {shortened(value)}. {_MAKERS[kind.__name__]}.")
 
 
 def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
-    """Return a figure as a PNG file, and close it."""
+    """Return the bytes of a PNG image of a figure, and close the figure."""
     import matplotlib.pyplot as plt
     from matplotlib.figure import Figure
 

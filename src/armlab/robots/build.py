@@ -18,12 +18,12 @@ GRAVITY = (0.0, 0.0, -9.80665)
 """Standard gravity on an upright arm [m/s^2]."""
 
 RAMP_TIME = 0.1
-"""Time [s] in which the default acceleration limit reaches the speed limit."""
+"""Time [s] in which a joint reaches its speed limit at the default acceleration limit."""
 
 LIKE_DEGREES = (8.0 * np.pi, 500.0)
-"""Revolute limits in this range [rad] are probably degrees: few axes exceed four revolutions, and ABB axes reach 96."""
+"""Revolute limits in this range [rad] are probably degrees: few axes exceed four revolutions; ABB axes allow 96."""
 SCREW_TOLERANCE = 1e-9
-"""Tolerance on the length and the pitch of a unit screw without pitch."""
+"""Tolerance on the length and pitch of a zero-pitch unit screw."""
 
 
 class Details(TypedDict, total=False):
@@ -79,7 +79,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     """
     for unknown in details.keys() - Details.__annotations__.keys():
         raise RobotError(
-            f"Expected details of robot {name!r} among {', '.join(Details.__annotations__)}, got {unknown!r}."
+            f"Expected the details of robot {name!r} to be among {', '.join(Details.__annotations__)}, got {unknown!r}."
         )
 
     def given(field: str, default: ArrayLike) -> np.ndarray:
@@ -200,7 +200,9 @@ def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
     }
     for key, array in arrays.items():
         if array.ndim > 1:
-            raise RobotError(f"Expected {key} in the DH table of {name!r} as one column (n,), got shape {array.shape}.")
+            raise RobotError(
+                f"Expected {key} in the DH table of {name!r} to be one column (n,), got shape {array.shape}."
+            )
         if not np.isfinite(array).all():
             i = int(np.argmin(np.isfinite(array)))
             raise RobotError(f"Expected finite {key} in the DH table of {name!r}, got {array[i]} at joint {i + 1}.")
@@ -316,7 +318,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
 def to_local_poe(robot: Robot) -> LocalPoe:
     """Return the robot as a local product of exponentials, including mount and tool.
 
-    A_j places the frame in which joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis of joint j.
+    A_j leads to the frame of joint j + 1, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis of joint j.
 
     Parameters
     ----------

@@ -61,8 +61,8 @@ def differences(robot: Robot, other: Robot) -> tuple[str, ...]:
 def check_same(robot: Robot, what: str, name: str, digest: str, other: Robot | None, advice: str) -> None:
     """Raise `ModelMismatchError` unless the file described by `what` belongs to `robot`.
 
-    `name`, `digest` and `other` are the name, hash and (if stored) description of the robot in the file. `advice` ends
-    the error.
+    `name`, `digest` and `other` are the name, hash and (if stored) description of the robot in the file. `advice` is
+    appended to the error message.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

@@ -1,4 +1,4 @@
-"""Conversions between joint orders and between the two sides of the gears, along the last axis.
+"""Conversions between joint orders and between the motor and joint sides of the gears, along the last array axis.
 
 armlab numbers joints from base to tool, and measures each joint relative to its parent link. Controllers use other
 conventions:

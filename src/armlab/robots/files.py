@@ -171,7 +171,7 @@ def save(robot: Robot, path: str | Path) -> None:
         with whole_file(path) as part:
             part.write_bytes(text.encode("utf-8"))
     except (OSError, ValueError) as error:  # ValueError: a character that is invalid in a file or path
-        raise RobotError(f"Expected to write robot {robot.name!r} to {path}, got: {error}.") from None
+        raise RobotError(f"Expected a writable path for robot {robot.name!r}, got {path}: {error}.") from None
 
 
 def to_toml(robot: Robot) -> str:

@@ -25,8 +25,8 @@ MOMENT_TOLERANCE = 1e-6  # negative moments below this fraction of the largest p
 SMALLEST_RADIUS = 1e-6  # radius of gyration [m] below which negative moments are rounding
 DRIVES = ("friction", "damping", "rotor", "ripple", "noise")
 """Drive parameters of a description: Coulomb friction [N m], viscous friction [N m s/rad], rotor inertia [kg m^2],
-amplitude of the torque ripple and standard deviation of the torque signal [N m]. All refer to the joint side; prismatic
-joints have the corresponding linear units."""
+amplitude of the torque ripple and standard deviation of the torque signal [N m]. All parameters refer to the joint
+side; prismatic joints have the corresponding linear units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +188,8 @@ class Robot:
     def hash(self) -> str:
         """SHA-256 (hex) of the numbers in the description, without names and sources.
 
-        Numbers are rounded to 12 decimals, so the hash is the same on machines that round sines differently. Torque
-        limits and inertias are included if present; meshes never are.
+        Numbers are rounded to 12 decimals, so the hash is the same on machines whose sine functions round differently.
+        Torque limits and inertias are included if present; meshes are never included.
         """
         import hashlib  # a lazy import, because OpenSSL costs 2 ms
 
@@ -217,7 +217,7 @@ class Robot:
         return replace(self, T_flange_tool=T_flange_tool)
 
     def with_base(self, T_base_mount: np.ndarray) -> Robot:
-        """Return the robot with a different mount. Its meshes move with it; gravity in base axes is unchanged.
+        """Return the robot with a different mount. The mount's meshes move with it; gravity in base axes is unchanged.
 
         Parameters
         ----------
@@ -269,7 +269,9 @@ def _drives(pairs: tuple[Any, ...], name: str, n: int) -> tuple[tuple[str, tuple
     found = {}
     for key, values in pairs:
         if key not in DRIVES:
-            raise RobotError(f"Expected drives of robot {name!r} among {', '.join(DRIVES)}, got {key!r}.")
+            raise RobotError(
+                f"Expected the drive parameters of robot {name!r} to be among {', '.join(DRIVES)}, got {key!r}."
+            )
         array = frozen(values, f"{key} of the drives of robot {name!r}")
         if array.shape != (n,) or not np.all((array >= 0) & np.isfinite(array)):
             raise RobotError(
@@ -285,7 +287,7 @@ def _axis_numbers(value: tuple[Any, ...], name: str) -> tuple[int, ...]:
     try:
         return tuple(map(index, value))
     except TypeError:
-        raise RobotError(f"Expected abb_axes of robot {name!r} as integers, got {list(value)}.") from None
+        raise RobotError(f"Expected abb_axes of robot {name!r} to be integers, got {list(value)}.") from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -317,12 +319,12 @@ class Mesh(Shown):
         if not isinstance(self.file, str) or not self.file:
             raise RobotError(f"Expected the file name of a mesh, got {self.file!r}.")
         if not isinstance(self.kind, str) or self.kind not in ("visual", "collision"):
-            raise RobotError(f'Expected "visual" or "collision" as kind of mesh {self.file!r}, got {self.kind!r}.')
+            raise RobotError(f'Expected "visual" or "collision" as the kind of mesh {self.file!r}, got {self.kind!r}.')
         if self.T_link_mesh.shape != (4, 4) or not se3.is_pose(self.T_link_mesh):
-            raise RobotError(f"Expected a pose (4, 4) of mesh {self.file!r}, got {self.T_link_mesh.tolist()}.")
+            raise RobotError(f"Expected a pose (4, 4) for mesh {self.file!r}, got {self.T_link_mesh.tolist()}.")
         if self.scale.shape != (3,) or not (np.isfinite(self.scale).all() and self.scale.all()):
             raise RobotError(
-                f"Expected 3 finite, non-zero scale factors of mesh {self.file!r}, got {self.scale.tolist()}."
+                f"Expected 3 finite, non-zero scale factors for mesh {self.file!r}, got {self.scale.tolist()}."
             )
 
     def __eq__(self, other: object) -> bool:
@@ -394,8 +396,7 @@ def _check_poses(robot: Robot) -> None:
         if not fits:
             rows = "; ".join(" ".join(f"{x:.9g}" for x in row) for row in pose)
             raise RobotError(
-                f"Expected {field} of robot {robot.name!r} to be a pose with a rotation orthonormal to "
-                f"{so3.ROTATION_TOLERANCE:g}, got [{rows}]. If it is nearly a rotation, project it first "
+                f"Expected {field} of robot {robot.name!r} to be a pose whose rotation is orthonormal within {so3.ROTATION_TOLERANCE:g}, got [{rows}]. If it is nearly a rotation, project it first "
                 "(lie.se3.project)."
             )
     if not np.isfinite(robot.gravity).all():
@@ -434,7 +435,7 @@ def _check_names(robot: Robot) -> None:
     for field in ("joint_names", "abb_axes"):
         value = getattr(robot, field)
         if len(value) != robot.n or len(set(value)) != robot.n:
-            raise RobotError(f"Expected {robot.n} different {field} of robot {robot.name!r}, got {list(value)}.")
+            raise RobotError(f"Expected {robot.n} different {field} for robot {robot.name!r}, got {list(value)}.")
     if sorted(robot.abb_axes) != list(range(1, robot.n + 1)):
         raise RobotError(
             f"Expected abb_axes of robot {robot.name!r} to contain 1 to {robot.n} exactly once each, got "

@@ -127,7 +127,7 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
 
     Returns
     -------
-    (ceil(N / factor), ...) samples; the first sample keeps its time.
+    (ceil(N / factor), ...) samples; the first output sample coincides with the first input sample.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class Operator:
         Parameters
         ----------
         x : sample, a number or an array.
-        t : time stamp [s], required for all samples or none; default: a step of dt.
+        t : time stamp [s], given for all samples or for none; default: a step of dt.
 
         Raises
         ------
@@ -121,8 +121,8 @@ class Integrator(Operator):
 class Differentiator(Operator):
     """Backward difference ``(x_k - x_{k-1}) / h``; the first step returns 0, or ``(x_0 - init) / dt``.
 
-    It amplifies noise by 1/h; `CausalDiff` also filters the signal. Counterpart of the macro @differentiate in
-    TFRT-7651.
+    The difference amplifies noise by 1/h; `CausalDiff` also filters the signal. Counterpart of the macro @differentiate
+    in TFRT-7651.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class LowPass2(Operator):
     """Causal second-order Butterworth low-pass filter: ``y'' + sqrt(2) w y' + w^2 y = w^2 x``, ``w = 2 pi cutoff``.
 
     The discretisation is exact for piecewise linear input, so jitter causes no error. The filter starts at rest at the
-    first sample or at `init`. It delays slow signals by ``sqrt(2) / w``.
+    first sample or at `init`. The filter delays slow signals by ``sqrt(2) / w``.
 
     Parameters
     ----------

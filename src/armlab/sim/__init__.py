@@ -1,4 +1,4 @@
-"""Simulated arm and EGM controller with known ground truth, of which only measurements are transmitted.
+"""Simulated arm and EGM controller with known ground truth; only measurements are transmitted.
 
 Names are imported on first use, so the help of ``armlab sim`` can show settings without importing NumPy.
 """

@@ -171,7 +171,7 @@ class HandPath:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """External events of one controller; it sends packets only while `is_open` (a RAPID program runs EGM)."""
+    """External events of one controller, which sends packets only while `is_open` (a RAPID program runs EGM)."""
 
     operator: AppliedWrench | None = None
     hand: HandPath | None = None

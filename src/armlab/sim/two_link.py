@@ -2,7 +2,7 @@
 
 The arm has point masses at the ends of two massless links, and viscous and Coulomb friction in both joints. q_1 is zero
 when the arm hangs down and increases counter-clockwise; q_2 is relative to the first link. x points right and y up.
-Functions broadcast over leading axes. Wrong shapes raise ShapeError.
+Functions broadcast over leading axes. Arrays of the wrong shape raise ShapeError.
 
 The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb tanh(100 qd) = tau`` with::
 
@@ -192,7 +192,7 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
 
     Raises
     ------
-    ShapeError : wrong shape, or a point out of reach; the message contains its distance.
+    ShapeError : wrong shape, or a point out of reach; the message contains the distance of the point.
     UnknownName : `elbow` is neither "down" nor "up".
     """
     if elbow not in ("down", "up"):

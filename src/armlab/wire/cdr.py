@@ -56,7 +56,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Positions of the numbers, and the strings, of one message."""
+    """Byte positions of the numbers in one message, and the message's strings."""
 
     fields: tuple[Field, ...]  # in message order, including empty sequences
     texts: Mapping[str, str | tuple[str, ...]]  # strings and tuples of strings by dotted name
@@ -88,7 +88,7 @@ def with_bytes(types: Definitions) -> Definitions:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """Size of a type including nested types; `least` and `walked` count bytes and fields if all sequences are empty."""
+    """Size of a type including nested types; `least` and `walked` are bytes and fields if all sequences are empty."""
 
     fields: int = 0
     depth: int = 0

@@ -471,7 +471,7 @@ def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -
         ExternalReferences(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match=r"require RobotWare 7, but this is RobotWare 6.10"):
         external.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T, T)
-    with pytest.raises(CommandRefused, match="a codec that cannot send it"):
+    with pytest.raises(CommandRefused, match="a codec that cannot send RAPID data"):
         ExternalReferences(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T, T)
     with pytest.raises(CommandRefused, match=r"Expected 0 values .* in the limits, .*got"):
         external.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)

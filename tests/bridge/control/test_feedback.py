@@ -178,7 +178,7 @@ def packet(packets: Any, **fields: Any) -> Packet:
         ({"rapid": 0}, ""),
         ({"rapid": None}, ""),
         ({"motors": 2}, "motors are off"),
-        ({"motors": 0}, "its packets do not contain the motor state"),
+        ({"motors": 0}, "the packets contain no motor state"),
         ({"rapid": 1}, "RAPID is stopped"),
         ({"mci": 2}, "EGMRunJoint"),
         ({"mci": 1}, "EGMRunJoint"),

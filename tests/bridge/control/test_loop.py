@@ -396,7 +396,7 @@ def test_a_run_takes_memory_for_its_end_and_gives_it_back(one: Make, monkeypatch
     hands = one(drift)
     with pytest.raises(LinkError, match=r"^Expected 16 MiB of free memory for the end of the run: Cannot allocate"):
         hands.run()
-    assert hands.loop.reason == "the memory needed to end the run is missing"
+    assert hands.loop.reason == "not enough memory to end the run"
     assert not hands.ports[0].sent
 
 

@@ -109,7 +109,7 @@ def test_ready_freezes_the_position(bench: Bench) -> None:
     np.testing.assert_allclose(state.q_start, bench.home, rtol=1e-14)
     np.testing.assert_allclose(bench.see(q=bench.home + 0.04).q_start, bench.home, rtol=1e-14)
     assert state.t == 0.0
-    assert bench.events[-1] == "The robot is ready and holds."
+    assert bench.events[-1] == "The robot is ready and holds its position."
 
 
 def test_time_counts_from_readiness(bench: Bench) -> None:

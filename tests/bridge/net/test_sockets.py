@@ -238,7 +238,9 @@ def test_a_recording_keeps_what_waited(robot: Robot) -> None:
     recording = Recording(robot, None, None, wait=False, clock=lambda: stamps[0])
     for k in range(1000):
         stamps[0] = 4_000_000 * (k + 1)
-        recording.event("The robot is ready and holds." if k % 2 else "The robot is not ready: the motors are off.")
+        recording.event(
+            "The robot is ready and holds its position." if k % 2 else "The robot is not ready: the motors are off."
+        )
         recording.catch_up()
     recording.close({})
     assert 8 <= len(recording.events) <= 10

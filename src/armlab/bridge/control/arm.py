@@ -229,7 +229,7 @@ class ArmSession:
     def reply(
         self, sample: Sample, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
     ) -> None:
-        """Send the only reply to a packet; `record` later records the packet and the packets that it overtook."""
+        """Send the one reply to a packet; `record` later records this packet and any packets that it overtook."""
         seq = send_ns = -1
         self._went_out = self._left_out = False
         try:

@@ -20,8 +20,8 @@ _KNOWS_DATA = "7"  # RobotWare version that supports RAPID data
 class ExternalReferences:
     """Computes the references of the external axes and the RAPID data for each packet.
 
-    The first `Command.q_ext` of a session enables the axes. Each later reply contains a reference for them, because the
-    robot controller would otherwise keep the last reference, including its speed. RAPID data are sent once.
+    The first `Command.q_ext` of a session enables the axes. Each later reply contains a reference for these axes,
+    because the robot controller would otherwise keep the last reference, including its speed. RAPID data are sent once.
     """
 
     moves: bool
@@ -54,7 +54,8 @@ class ExternalReferences:
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback; return an error message for the first of consecutive implausible packets, otherwise "".
+        """Check the feedback; return an error message for the first of several consecutive implausible packets,
+        otherwise "".
 
         Implausible feedback must never become a reference.
         """
@@ -104,7 +105,9 @@ class ExternalReferences:
             return None
         if "rapid_data" not in self._capabilities or packet.robotware != _KNOWS_DATA:
             got = (
-                f"RobotWare {packet.robotware}" if "rapid_data" in self._capabilities else "a codec that cannot send it"
+                f"RobotWare {packet.robotware}"
+                if "rapid_data" in self._capabilities
+                else "a codec that cannot send RAPID data"
             )
             raise CommandRefused(
                 f"Expected no rapid_data or rapid_digital in the Command: they require RobotWare 7, but this is {got}."

@@ -27,7 +27,8 @@ _STEP, _FASTER = 0.02, 2.0  # largest plausible step: rad or m, plus a multiple 
 class FeedbackCheck:
     """Checks the feedback against the limits, the last plausible position and the last reference sent.
 
-    Frozen feedback is detected when the reference moves away from it. With coupled axes, all checks are in axis space.
+    Frozen feedback is detected when the reference moves away from the feedback. With coupled axes, all checks are done
+    in axis space.
     """
 
     plausible: int
@@ -66,7 +67,8 @@ class FeedbackCheck:
         elif found < 0 and before is not None:
             i = -found - 1
             problem = (
-                f"Expected the feedback of {joint_name(self._robot, i)} to move no faster than the arm can, got a jump "
+                f"Expected the feedback of {joint_name(self._robot, i)} "
+                "to change no faster than the arm can move, got a jump "
                 f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. Check the robot controller."
             )
         if sent is not None and not problem:
@@ -133,9 +135,10 @@ _ABSENT = 3  # consecutive packets without a state after which the state counts 
 
 
 def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
-    """Return why the robot would not follow a reference, or "" if it would; the states are those of a `Packet`."""
+    """Return the reason why the robot would not follow a reference, or "" if it would; the arguments are the states in
+    a `Packet`."""
     if motors != _MOTORS_ON:
-        return "the motors are off" if motors else "its packets do not contain the motor state"
+        return "the motors are off" if motors else "the packets contain no motor state"
     if rapid not in _RAPID_MOVES:
         return "RAPID is stopped"
     return "" if mci == MCI_RUNNING else "guidance has not begun (EGMRunJoint)"

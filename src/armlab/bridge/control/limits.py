@@ -51,7 +51,7 @@ class Limits(Shown):
         Maximum distance between feedback and reference, in excess of 0.05 s times the reference speed; default: `jump`.
     lag : float, s
         Time constant of the arm's response to its reference: 1/k for a gain k of EGM's position loop (0.2 s for the
-        default of 5 1/s). To compensate, the reference brakes earlier, by a distance of lag times speed.
+        default of 5 1/s). To compensate, the reference starts braking earlier, by a distance of lag times speed.
 
     Raises
     ------
@@ -218,7 +218,7 @@ class Limiter:
         return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
-        """Set the reference to rest at `q` (n,); for an arm that does not follow references."""
+        """Set the reference to rest at `q` (n,), for an arm that does not follow references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
         sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
         sent.flags.writeable = False

@@ -1,7 +1,7 @@
 """Control loop: receive and decode a packet, call the controller, apply the limits, send one reply, then record.
 
 Each packet gets at most one reply, and a packet overtaken by a newer packet gets none. One arm paces the loop: its
-packets trigger the controller calls. The other arms receive their newest commands in their own ticks. All code except
+packets trigger the controller calls. The other arms receive their newest commands on their own ticks. All code except
 the controller runs under one lock, which the watchdog thread takes when the controller is overdue.
 
 `merge_states` combines the States of several arms; `split_command` splits a Command among the arms.
@@ -50,7 +50,7 @@ _AGE = list(State.__slots__).index("age")
 def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
     """Return the State of all arms: joint arrays are concatenated, and `arms` contains the State and age of each arm.
 
-    Time, sequence number and robot states are those of the pacing arm. Poses and wrenches are NaN; see `arms`.
+    Time, sequence number and robot states are taken from the pacing arm. Poses and wrenches are NaN; see `arms`.
     """
     arrays = list(chain.from_iterable(zip(*map(_joints, states), strict=True)))
     flat, clamped = np.concatenate(arrays), np.concatenate([state.clamped for state in states])
@@ -98,7 +98,7 @@ def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequenc
     for name in ("q_ext", "rapid_data", "rapid_digital"):
         if getattr(asked, name) is not None:
             raise CommandRefused(
-                f"Expected no {name} in a Command for all joints, because it does not name an arm. "
+                f"Expected no {name} in a Command for all joints, because this Command does not name an arm. "
                 "Return a tuple of one Command per arm."
             )
     parts = [_parts(name, getattr(asked, name), robots) for name in ("q", "qd", "tau")]
@@ -136,7 +136,7 @@ _RESERVE = 2**24  # bytes freed at the end of the run, needed to stop the arms a
 
 
 class Loop:
-    """Real-time loop over the arms of a link, which runs until all arms have ended."""
+    """Real-time loop over the arms of a link, which runs until every arm is in the mode ENDED."""
 
     interrupted: bool
     reason: str
@@ -188,7 +188,7 @@ class Loop:
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
-            self.reason = "the memory needed to end the run is missing"
+            self.reason = "not enough memory to end the run"
             text = f"Expected {_RESERVE >> 20} MiB of free memory for the end of the run: {error.strerror}. "
             raise LinkError(f"{text}Close other programs, or raise the memory limit of this program.") from error
         ended = False
@@ -209,7 +209,7 @@ class Loop:
             self._reserve.close()
 
     def _fail(self, error: Exception) -> None:
-        """Stop after an internal error or an error in a custom codec or source, so no arm keeps its speed."""
+        """Stop after an internal error or an error in a custom codec or source, so no arm keeps moving."""
         self._free_reserve()
         self._has_failed = True
         failure = LinkError(f"Expected the cycle to run without errors, got {_named(error)}.")
@@ -304,8 +304,8 @@ class Loop:
         self._serve_others()
         if self._hangs and not self._reported:
             self._reported = True
-            sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm holds meanwhile."
-            pace.recording.event(f"{sentence} Ctrl-C interrupts it and ends the run.", warn=True)
+            sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm holds its position meanwhile."
+            pace.recording.event(f"{sentence} Press Ctrl-C to interrupt the controller and end the run.", warn=True)
         for arm in self._arms:
             arm.record()
 
@@ -422,8 +422,8 @@ _DRY_RUNS = 20  # before a run, because Python specialises code only after sever
 class DryRun:
     """Dry run of a cycle: a separate loop replies to a synthetic packet, and the reply is discarded.
 
-    Between packets, other programs evict the code from the processor caches. A dry run just before a packet is due
-    reloads it, which shortens the reply latency by a third (benchmarks/bench_egm.py).
+    Between packets, other programs evict the loop's code from the processor caches. A dry run just before a packet is
+    due reloads this code, which shortens the reply latency by a third (benchmarks/bench_egm.py).
     """
 
     def __init__(self, end: End, limits: Limits) -> None:

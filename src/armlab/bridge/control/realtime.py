@@ -26,7 +26,7 @@ _DUE = 700  # number of new objects after which the youngest generation is colle
 
 @contextmanager
 def quiet_memory() -> Iterator[None]:
-    """Run one full garbage collection, then disable the collector, which can block for thirty cycles."""
+    """Run one full garbage collection, then disable the collector, which can block the loop for thirty cycles."""
     was_enabled = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -59,7 +59,7 @@ def short_switches() -> Iterator[None]:
 
 @contextmanager
 def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
-    """Run the calling thread under SCHED_FIFO if permitted; child processes do not inherit it."""
+    """Run the calling thread under SCHED_FIFO if permitted; child processes do not inherit this priority."""
     try:
         before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))

@@ -22,7 +22,8 @@ _logger = logging.getLogger("armlab.bridge")
 
 
 class Feed(Protocol):
-    """Additional consumer of the rows and events of a run; the loop calls it after each reply, so it must be fast.
+    """Additional consumer of the rows and events of a run; the loop calls the feed after each reply, so the feed must
+    be fast.
 
     A feed that raises an error is dropped, and an event reports the error. Optional methods: ``begin(tell,
     files, keep)`` is called at the start with the event callback, the recording files and the callback for parameter
@@ -202,6 +203,6 @@ class Recording:
         self.catch_up()
         problems = [f"The recording stopped: {recorder.failed}"] if recorder.failed else []
         if recorder.dropped:
-            why = "they arrived after it stopped" if recorder.failed else "the disk was too slow"
+            why = "the recorder had already stopped" if recorder.failed else "the disk was too slow"
             problems.append(f"The recording lost {recorder.dropped} rows: {why}.")
         return problems

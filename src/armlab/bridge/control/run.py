@@ -244,9 +244,10 @@ def served(statistics: Mapping[str, Any]) -> list[str]:
             f"{client} {sent}{f' ({dropped} dropped)' if dropped else ''}"
             for client, (sent, dropped) in (server["clients"] or {}).items()
         ]
-        unknown = "none" if server["clients"] is not None else "unknown, the server did not answer"
+        unknown = "none" if server["clients"] is not None else "unknown (the server did not answer)"
         lines.append(
-            f"Rows to the server {name}: {server['rows']}{lost}. To its clients: {', '.join(clients) or unknown}."
+            f"Rows to the server {name}: {server['rows']}{lost}. Rows from "
+            f"this server to its clients: {', '.join(clients) or unknown}."
         )
     for arm, clients in statistics.get("commands", {}).items():
         lines.append(f"Commands to {arm}: {_counted(clients)}.")
@@ -265,8 +266,8 @@ def _counted(clients: Mapping[str, int]) -> str:
 def together(tables: Mapping[str, Table]) -> Table:
     """Merge the tables of several arms into one, with columns such as ``yumi_left.q``.
 
-    The rows are those of the first arm. Each row is joined with the last row of every other arm at or before its time;
-    ``<robot>.age`` is the age of the joined row.
+    The merged table has one row per row of the first arm. Each row is joined with the last row of every other arm at or
+    before its time; ``<robot>.age`` is the age of the joined row.
     """
     named = [
         (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()

@@ -65,10 +65,10 @@ class Period:
 class RobotClock:
     """Increments of robot time: from feedBack.time if valid, else from tm in the header, else from arrival times.
 
-    A clock that steps back, stops or jumps by more than 1 s is ignored for that step. A repeated
-    tm is too coarse for the cycle time; it is ignored from then on, because its next increment would count twice.
-    `believed` bounds the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail
-    them by 0.5 s, for example after a network stall.
+    A clock that steps back, stops or jumps by more than 1 s is ignored for the current time step. A tm that repeats is
+    too coarse for the cycle time and is ignored from then on, because its next increment would count twice. `believed`
+    bounds the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by
+    0.5 s, for example after a network stall.
     """
 
     exact: bool
@@ -96,10 +96,10 @@ class RobotClock:
             if 0.0 < dt <= _LONGEST:
                 self.exact, claimed = True, dt
             else:
-                what = "has stopped" if dt == 0.0 else f"was set by {dt:+.3f} s"
+                what = "has stopped" if dt == 0.0 else f"jumped by {dt:+.3f} s"
                 self._report_once(
                     "set" if dt else "still",
-                    f"The robot's clock {what}. This step is taken from tm in the header or from arrival times.",
+                    f"The robot's clock {what}. This time step is taken from tm in the header or from arrival times.",
                 )
         if claimed is None and packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
@@ -123,7 +123,10 @@ class RobotClock:
         self._trails = self._trails + arrived if self._lead < -_WRONG else 0.0
         if self._trails > _STAYS:  # the current arrivals become the new reference
             if self._trailed:
-                self._report_once("slow", "The robot's clock runs slower than the local clock. Steps follow the robot.")
+                self._report_once(
+                    "slow",
+                    "The robot's clock runs slower than the local clock. The time steps follow the robot's clock.",
+                )
             self._lead, self._trails, self._trailed = 0.0, 0.0, True
         return claimed
 
@@ -134,7 +137,7 @@ class RobotClock:
 
 
 EGM_ERROR = "the controller reported an EGM error"
-"""Reason for the end of a session after an error report of the robot controller."""
+"""Reason for the end of a session after an error report from the robot controller."""
 
 _SEQUENCES = 2**32
 _HALF = 2**31  # ms; a tm further ahead is in the past
@@ -179,11 +182,12 @@ class Sample:
 class Session:
     """Tracks the sequence numbers, sources and sessions of one robot controller.
 
-    Sequence numbers are compared modulo 2**32. These packets begin a session, in which replies are numbered from 0:
+    Sequence numbers are compared modulo 2**32. Each of the following packets begins a session, in which replies are
+    numbered from 0:
 
     - the first packet, and the first packet after a silence;
-    - a packet with number 0, even with an earlier clock (the robot restarted), but not a late duplicate, whose `tm` is
-      that of the first packet of this or a previous session;
+    - a packet with number 0, even if its clock is earlier (after a restart of the robot), but not a late duplicate,
+      whose `tm` equals that of the first packet of this or a previous session;
     - the third consecutive out-of-order packet, after five periods without a packet in order: the first packet of its
       session was lost.
     """

@@ -343,7 +343,7 @@ class StateMachine:
                 self._on_event(
                     "The robot reports no torques, so it accepts no torque commands and its contact force is unknown."
                 )
-        self._on_event("The robot is ready and holds.")
+        self._on_event("The robot is ready and holds its position.")
 
     def _doubt(self, problem: str) -> None:
         """Report implausible feedback; three consecutive packets stop the run."""

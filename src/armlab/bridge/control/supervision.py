@@ -41,7 +41,8 @@ class Supervisor:
         self._elapsed, self._brief = 0.0, 0
 
     def check_silence(self, last_packet_ns: int) -> None:
-        """End the session after a silence, and the run if the robot is lost or its silence exceeds the patience."""
+        """End the session after a silence, and the run if the robot is lost or stays silent for longer than the
+        patience."""
         machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
             machine.lose(session.end(), self._settings.resume)
@@ -63,8 +64,8 @@ class Supervisor:
     def judge(self) -> None:
         """End the run after too many consecutive short sessions; called before a new session is observed.
 
-        A session without guidance counts only when listening, in lockstep or after an EGM error, because the robot may
-        be waiting for its operator.
+        Sessions without guidance usually do not count, because the robot may be waiting for its operator. They count
+        only if the run listens or is in lockstep, or after an EGM error.
         """
         machine, session = self._machine, self._session
         gained, self._elapsed = machine.elapsed - self._elapsed, machine.elapsed

@@ -1,7 +1,8 @@
 """Torque references: checks, limits, and an admittance for links without torque commands.
 
-A torque commanded with a position or velocity is feed-forward. A torque alone replaces the position loop; the drive
-then adds only gravity compensation. The reply also contains the measured position, from which a hold starts.
+A torque commanded together with a position or velocity is a feed-forward torque. A torque alone replaces the position
+loop; the drive then adds only gravity compensation. The reply also contains the measured position, from which a hold
+starts.
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ class Torques:
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
         """Return the references (n,) of a command with a torque; an admittance converts the torque to a velocity.
 
-        `measured` states whether the robot reports torques; a robot that reports none accepts no torque commands.
+        `measured` states whether the robot reports torques; a robot without reported torques accepts no torque
+        commands.
         """
         if not np.isfinite(tau).all():
             raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN is never sent to a robot.")

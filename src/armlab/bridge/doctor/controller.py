@@ -34,7 +34,7 @@ _STATES = {
     "sysfail": "system failure",
 }
 _REMEDIES = {
-    "motoroff": "armlab abb start switches them on.",
+    "motoroff": "armlab abb start switches the motors on.",
     "init": "Wait until the controller has started.",
     "guardstop": "Close the safety gate or release the protective stop, then acknowledge it.",
     "emergencystop": "Release the emergency stop, then press the motors-on button to reset it.",
@@ -64,7 +64,7 @@ def senders(status: ControllerStatus) -> dict[int, Task]:
 
 
 def tasks_for(status: ControllerStatus, ports: Sequence[int]) -> list[Task]:
-    """Return the sending task of each local port."""
+    """Return the task that sends to each local port."""
     found = senders(status)
     if bad := [finding for finding in port_findings(status, ports) if finding.verdict != "ok"]:
         raise LinkError(
@@ -119,14 +119,15 @@ def require_loaded(controller: AbbController, tasks: Sequence[Task]) -> None:
     if missing:
         raise LinkError(
             f"Expected armlab guidance modules in all tasks on {controller.place}, got none in {', '.join(missing)}. "
-            "Load them with armlab abb setup HOST."
+            "Load the modules with armlab abb setup HOST."
         )
 
 
 def _status_findings(status: ControllerStatus) -> list[Finding]:
     robotware = f"{status.name}, RobotWare {status.robotware or 'unknown'}"
     update = (
-        f"Update to RobotWare {OLDEST[0]}.{OLDEST[1]:02d} or newer; in older versions, EGM sends radians and no time."
+        f"Update to RobotWare {OLDEST[0]}.{OLDEST[1]:02d} or newer; in "
+        "older versions, EGM sends angles in radians and no timestamps."
     )
     option = next((one for one in status.options if any(word in one.lower() for word in _OPTION)), "")
     order = "Order and install Externally Guided Motion (689-1 on RobotWare 6, 3124-1 on 7)."
@@ -143,7 +144,13 @@ def _status_findings(status: ControllerStatus) -> list[Finding]:
         judged("EGM option", "failure", not option, option or "missing", order),
         judged("operating mode", "failure", status.mode != "AUTO", status.mode, automatic),
         judged("motors", "warning" if is_off else "failure", status.state != "motoron", motors, remedy),
-        judged("mastership", "failure", bool(status.holder), holder, "Release mastership there, or wait 5 minutes."),
+        judged(
+            "mastership",
+            "failure",
+            bool(status.holder),
+            holder,
+            "Release mastership in the client that holds it, or wait 5 minutes.",
+        ),
         judged("RAPID", "warning", not status.is_running, status.execution, "Start RAPID with armlab abb start HOST."),
         judged("motion interface", "failure", is_missing, interface, add),
     ]
@@ -155,7 +162,8 @@ def _module(status: ControllerStatus, task: Task, text: str, replace: bool) -> F
     is_loaded = module in task.modules
     if others and not replace:
         advice = (
-            "A task must have exactly one main. Unload the others, or save and unload them with armlab abb setup "
+            "A task must have exactly one main routine. Unload the other "
+            "modules, or save and unload them with armlab abb setup "
             "--replace."
         )
         return Finding(name, "failure", f"main is in {', '.join(others)}", advice)
@@ -167,7 +175,9 @@ def _module(status: ControllerStatus, task: Task, text: str, replace: bool) -> F
         advice = "Overwrite the file with armlab abb setup --replace."
         return Finding(name, "failure", f"$HOME/{module}.mod has different content", advice)
     value = f"{module} {'is' if is_loaded else 'is not'} loaded"
-    return Finding.judged(name, "warning", not is_loaded and not text, value, "Load it with armlab abb setup HOST.")
+    return Finding.judged(
+        name, "warning", not is_loaded and not text, value, "Load the module with armlab abb setup HOST."
+    )
 
 
 def same_text(one: str, other: str) -> bool:
@@ -184,7 +194,9 @@ def _device(status: ControllerStatus, task: Task) -> Finding:
         return Finding(name, "failure", value, f"Add a device {device!r} of type UDPUC and restart. {_HOW_TO}.")
     address, port = status.devices[device]
     own = {"127.0.0.1", *local_addresses().values()}
-    advice = f"Set its Remote Address to this computer, {', '.join(sorted(own))}, and restart the controller."
+    advice = (
+        f"Set the Remote Address of the device to this computer, {', '.join(sorted(own))}, and restart the controller."
+    )
     return Finding.judged(name, "failure", address not in own, f"{device} sends to {address}:{port}", advice)
 
 

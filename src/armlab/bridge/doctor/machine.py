@@ -143,19 +143,19 @@ def real_time() -> Finding:
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Report the CPU share of real-time threads; wait="spin" never yields, so it would need 100 %."""
+    """Report the CPU share of real-time threads; wait="spin" never yields the CPU, so this mode would need 100 %."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())
     except (OSError, ValueError):
         return Finding("real-time throttle", "ok", "unknown, not reported by this kernel")
     value = "off" if runtime < 0 else f"{1e-4 * runtime:.0f} % of the time"
-    advice = "Real-time threads cannot run. Set sysctl kernel.sched_rt_runtime_us=950000"
+    advice = "Real-time threads get no CPU time. Set sysctl kernel.sched_rt_runtime_us=950000"
     return Finding.judged("real-time throttle", "warning", runtime == 0, value, advice)
 
 
 def governor(folder: Path = _SYSTEM) -> Finding:
-    """Check whether the CPUs keep their clock rate between packets."""
+    """Check whether the CPUs keep their clock frequency between packets."""
     kinds: set[str] = set()
     for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor"):
         with suppress(OSError), file.open(encoding="ascii") as opened:
@@ -182,12 +182,15 @@ def wake_up(
         return Finding("wake-up", "ok", "not measured")
     p50, p99, worst = np.percentile(late, [50, 99, 100])
     value = f"late by {1e6 * p50:.0f} us (p50), {1e6 * p99:.0f} us (p99), {1e6 * worst:.0f} us (max of {len(late)})"
-    advice = "Close other programs; see real-time priority and CPU governor. On a virtual machine, expect late replies."
+    advice = (
+        "Close other programs; see the findings real-time priority "
+        "and CPU governor. On a virtual machine, expect late replies."
+    )
     return Finding.judged("wake-up", "warning", bool(p99 > _LATE), value, advice)
 
 
 def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
-    """Measure a full garbage collection; a run collects only objects created during the run."""
+    """Measure the duration of a full garbage collection; a run collects only objects created during the run."""
     objects = len(gc.get_objects())
     start = time.perf_counter()
     collect()

@@ -25,15 +25,19 @@ from armlab.wire.egm import EgmCodec
 
 _SPREAD = 2e-3  # s: largest acceptable difference between the median and the 99th percentile of packet intervals
 _REMEDY = {
-    "the motors are off": "Switch the motors on; in manual mode, hold the enabling device.",
+    "the motors are off": "Switch the motors on; in manual mode, hold down the enabling device.",
     "RAPID is stopped": "Start RAPID from main on the pendant.",
     "guidance has not begun (EGMRunJoint)": (
-        "This is normal for streaming and lead-through. For motion, RAPID must reach EGMRunJoint (ArmlabJoint.mod)."
+        "This state is normal for streaming and lead-through. For "
+        "motion, RAPID must reach EGMRunJoint (ArmlabJoint.mod)."
     ),
 }
 _OLD = {
-    "6.06": "This RobotWare sends radians, which armlab converts. Compare q with the pendant once.",
-    "6.07": "RobotWare 6.07.00 reports wrong joint values (fixed in 6.07.01). Compare q with the pendant.",
+    "6.06": "This RobotWare version sends angles in radians; armlab "
+    "accounts for this. Compare q with "
+    "the joint values on the pendant once.",
+    "6.07": "RobotWare 6.07.00 reports wrong joint values (fixed in "
+    "6.07.01). Compare q with the joint values on the pendant.",
 }
 _AXES = 6
 _ANY_ARM: Any = SimpleNamespace(  # accepts packets from any robot; the seventh axis of a YuMi counts as external
@@ -91,11 +95,13 @@ class EgmListener:
         if self._first is None or self._last is None:
             return [*found, self._foreign(name)]
         first, last = self._first, self._last
-        clock = f"robot minus computer {self._offset:+.3f} s" if last.packet.robot_ns else "the robot sends no time"
+        clock = (
+            f"robot minus computer {self._offset:+.3f} s" if last.packet.robot_ns else "the robot sends no timestamps"
+        )
         extension = (
             "research extension present: velocity and torque are measured"
             if last.packet.qd is not None
-            else "absent: velocities are position differences, torque is not measured"
+            else "absent: velocities are position differences, and torque is not measured"
         )
         return [
             *found,
@@ -111,7 +117,10 @@ class EgmListener:
     def _foreign(self, name: str) -> Finding:
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.session.drops.items())
         if "joint count" in self.session.drops and self._robot is not None:
-            advice = f"This is not a {self._robot.name}, which has {self._robot.n} axes. Specify the connected robot."
+            advice = (
+                f"The connected robot is not a {self._robot.name}, which "
+                f"has {self._robot.n} axes. Specify the connected robot."
+            )
             return Finding(f"{name}, first packet", "failure", f"wrong axes: {reasons}", advice)
         advice = "A program other than an EGM controller sends to this port. Stop that program or choose another port."
         return Finding(f"{name}, first packet", "failure", f"not a robot packet: {reasons}", advice)
@@ -224,7 +233,8 @@ class _PortListener:
         lost = [address for address in self.addresses if address not in self.received]
         value = f"received packets from {len(self.received)} of {len(self.addresses)} own addresses"
         advice = (
-            f"A firewall rule on this computer drops packets to {', '.join(lost)}. See nft list ruleset or ufw status."
+            f"A firewall rule on this computer drops packets to {', '.join(lost)}. "
+            "Check the output of nft list ruleset or ufw status."
         )
         return Finding.judged(f"port {self.port.port}, self-test", "failure", bool(lost), value, advice)
 
@@ -292,7 +302,7 @@ def examine(
     """Return the findings of all checks: first the computer, then the network and the ports.
 
     The check listens on `ports` (default: `DEFAULT_PORTS`) for `seconds` [s] and measures wake-ups for `wake_up` [s].
-    With `robots`, one per port, it also checks the number of axes and the posture.
+    With `robots`, one per port, the function also checks the number of axes and the posture.
     """
     numbers = list(DEFAULT_PORTS if ports is None else ports)
     if not numbers or any(not 0 <= number < 65536 for number in numbers) or len(set(numbers)) < len(numbers):

@@ -31,7 +31,8 @@ _FASTEST_DRIFT = 1e-3  # s/s
 
 
 class ClockMap:
-    """Maps timestamps to the local clock by the running minimum of (receive - source) over 10 s, including drift.
+    """Maps timestamps to the local clock using the running minimum of (receive - source) over 10 s, with drift
+    compensation.
 
     Packets can be late but never early, so the minimum is the clock offset plus the shortest delay. A step above 50 ms
     restarts the estimate.
@@ -49,7 +50,7 @@ class ClockMap:
         self._line: tuple[int, float] = (0, 0.0)  # source timestamp, and the offset at that time
 
     def reset(self) -> None:
-        """Restart the estimate after the other clock has been set or its program has restarted."""
+        """Restart the estimate after the source's clock has been set or its program has restarted."""
         self.resets += 1
         self._forget()
 
@@ -274,5 +275,7 @@ class Fusion:
         before = clock.resets
         mapped = clock.add(reading.source_ns, reading.receive_ns)
         if clock.resets > before:
-            self._on_event(f"The clock of the source {source.name} was set. The clock mapping restarts.", warn=True)
+            self._on_event(
+                f"The clock of the source {source.name} was adjusted. The clock mapping restarts.", warn=True
+            )
         return mapped

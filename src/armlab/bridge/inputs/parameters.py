@@ -68,7 +68,8 @@ class Parameter(Shown):
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or hasattr(Parameters, self.name):
             raise ConfigError(
-                f"Expected an unused parameter name of letters, digits and _, got {self.name!r}. Choose another name."
+                "Expected an unused parameter name made of letters, "
+                f"digits and _, got {self.name!r}. Choose another name."
             )
         if self.type not in _TYPES and not _VECTOR.fullmatch(self.type):
             raise ConfigError(
@@ -97,7 +98,7 @@ class Parameter(Shown):
             return bool(value)
         if self.type == "text":
             if not isinstance(value, str) or len(value) > _LONGEST:
-                raise self._refused(f"a text of at most {_LONGEST} characters", value)
+                raise self._refused(f"text of at most {_LONGEST} characters", value)
             return value
         return self._number(value) if not self._size else self._vector(value)
 

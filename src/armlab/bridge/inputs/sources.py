@@ -150,7 +150,7 @@ class Source:
         """Start receiving; called before the run."""
 
     def close(self) -> None:
-        """Stop receiving; called after the run, even if it failed."""
+        """Stop receiving; called after every run, including failed runs."""
 
     def newest(self) -> Reading | None:
         """Return the latest reading, or None before the first reading; must neither block nor raise an error."""
@@ -200,8 +200,8 @@ def check_source(source: Source, robots: Sequence[Robot]) -> None:
     if source.calibration.robot_hash and source.calibration.robot_hash not in hashes:
         raise ModelMismatchError(
             f"Expected the calibration of the source {source.name!r} to belong to a robot of this run, got a "
-            f"calibration of {source.calibration.robot_name!r} ({source.calibration.robot_hash[:12]}). Calibrate on "
-            "this robot."
+            f"calibration of {source.calibration.robot_name!r} "
+            f"({source.calibration.robot_hash[:12]}). Calibrate the sensor on this robot."
         )
 
 
@@ -415,7 +415,7 @@ class UdpSource(Source):
         Port to listen on after `start`; 0 lets the operating system choose.
     layout : mapping or "json"
         NumPy type by name, in the order of the datagram, such as ``"<f8"`` or ``">u4"``: each field exactly once, and
-        optionally ``seq`` and ``stamp_ns``. With "json", a datagram is a JSON object with these names.
+        optionally ``seq`` and ``stamp_ns``. With "json", a datagram is a JSON object with these field names.
     host : str
         Address to listen on.
     options

@@ -117,7 +117,7 @@ class Port:
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
-        """After an error, rebind the socket if other code has closed it; return whether it was closed."""
+        """After an error, rebind the socket if other code has closed it; return whether the socket was closed."""
         self._seen = self._datagrams.errors
         if self._is_closed or self._descriptor.is_open:
             return False
@@ -159,7 +159,8 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
         who = process_using_port(port, "tcp") if is_taken else ""
         why = f"a port in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
         raise LinkError(
-            f"Expected TCP port {host}:{port} for {name} to be free, got {why}. End the program that uses it or choose "
+            f"Expected TCP port {host}:{port} for {name} to be free, "
+            f"got {why}. Stop the program that uses this port or choose "
             "another port."
         ) from error
     listener.setblocking(False)

@@ -103,7 +103,7 @@ class Hub:
         self._record, self._keep, self.parameters.running = tell, keep, True
         values = self.parameters.values()
         for name, value in values.items():
-            keep(Change(0, name, value, "in force at the start"))
+            keep(Change(0, name, value, "in effect at the start"))
         if values:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 

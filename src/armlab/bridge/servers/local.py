@@ -44,7 +44,7 @@ def socket_path(cell: str) -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
-        raise LinkError(f"Expected {folder} to be private (mode 0700). Remove it, or set XDG_RUNTIME_DIR.")
+        raise LinkError(f"Expected {folder} to be private (mode 0700). Remove the folder, or set XDG_RUNTIME_DIR.")
     return folder / f"{cell}.sock"
 
 
@@ -102,7 +102,9 @@ class LocalFeed(contextlib.AbstractContextManager["LocalFeed"]):
         try:
             self._socket.send(msgspec.json.encode(request))
         except OSError as error:
-            raise LinkError(f"Expected the bridge to accept a request, got {error}. It may have ended.") from error
+            raise LinkError(
+                f"Expected the bridge to accept a request, got {error}. The bridge may have ended."
+            ) from error
 
     def receive(self) -> Row | dict[str, Any]:
         """Return the next message: a row, or the fields of any other message, including its "kind"."""
@@ -112,7 +114,8 @@ class LocalFeed(contextlib.AbstractContextManager["LocalFeed"]):
             except TimeoutError:
                 seconds = self._socket.gettimeout()
                 raise LinkError(
-                    f"Expected a message from the bridge within {seconds:g} s, got none. Check that it is running."
+                    f"Expected a message from the bridge within {seconds:g} "
+                    "s, got none. Check that the bridge is running."
                 ) from None
             except OSError:
                 data = b""
@@ -158,7 +161,7 @@ class _Client:
 
 
 class LocalServer:
-    """Server that passes rows and events to at most 8 of the user's clients, and their requests to the loop."""
+    """Server that sends rows and events to at most 8 of the user's clients, and forwards their requests to the loop."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._path = Path(options["path"])

@@ -22,7 +22,7 @@ _Joints = Annotated[list[float | None], msgspec.Meta(max_length=64)]  # bounds t
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
-    """Request; `client` identifies the connection within its server."""
+    """Base class of requests; `client` identifies the connection within its server."""
 
     client: str = ""
 
@@ -61,14 +61,14 @@ class Renew(_Message, tag="renew", frozen=True):
 
 
 class Cancel(_Message, tag="cancel", frozen=True):
-    """Bring the arm of a running goal to rest; like a stop, any client may send it."""
+    """Bring the arm of a running goal to rest; any client may send this request, as with a stop."""
 
     arm: str = ""
     goal: str = ""
 
 
 class SetRequest(_Message, tag="set", frozen=True):
-    """Parameter values by name, all applied or all refused."""
+    """Parameter values by name; either all are applied or all are refused."""
 
     values: dict[str, Any] = {}
 
@@ -82,7 +82,7 @@ class Resume(_Message, tag="resume", frozen=True):
 
 
 class Release(_Message, tag="release", frozen=True):
-    """Release control of the client's arms or, if an operator sends it, of all arms."""
+    """Release control of the client's arms or, if an operator sends the request, of all arms."""
 
 
 class Leave(_Message, tag="leave", frozen=True):

@@ -50,7 +50,7 @@ class Datagrams:
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
-        """Return the datagram of a row with its freshly updated arms and all sources."""
+        """Return the datagram of a row with the arms that the row updates and all sources."""
         _, _, wall_ns = read_head(self._schema, data)
         found: dict[str, Any] = {"timestamp": 1e-9 * wall_ns}
         for robot, place in self._fresh:
@@ -112,6 +112,6 @@ class PlotJugglerServer:
 
 
 def _size(field: RowField, owner: int) -> int:
-    """Return the maximum size of a field in bytes, including its own name and that of its owner."""
+    """Return the maximum size of a field in bytes, including its own name and the name of its owner."""
     count = math.prod(field.shape)
     return len(field.name) + owner + 16 + count * (_NUMBER + len(str(count)) + 4)

@@ -2,7 +2,7 @@
 
 A row is little-endian: "ALR1", the row length (uint32), the schema id (8 bytes), the row number (uint64), monotonic and
 wall clock (int64 ns), and the fields, each at a multiple of 8 bytes. A row is at most 8 KiB long. The schema is
-canonical JSON; its id is the first 8 bytes of its SHA-256.
+canonical JSON; its id is the first 8 bytes of its SHA-256 hash.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ class Row(NamedTuple):
 
 
 class _Values(Mapping[str, Any]):
-    """Values of a row, unpacked on access, because readers of 500 rows/s need only a few of a hundred fields."""
+    """Values of a row, unpacked on access, because a reader of 500 rows/s needs only a few of the hundred fields."""
 
     __slots__ = ("_data", "_fields")
 

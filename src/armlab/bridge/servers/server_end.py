@@ -98,8 +98,9 @@ class LoopEnd:
     def ask(self, request: Request) -> bool:
         """Send a request to the loop; return False if the socket is full.
 
-        If it is full, commands, settings, renewals and reports are dropped, because newer ones follow; `receive` sends
-        stops and releases later. Trajectory parts leave room for stops and releases; the loop detects missing parts.
+        If the socket is full, commands, settings, renewals and reports are dropped, because newer ones follow;
+        `receive` sends stops and releases later. Trajectory parts leave room for stops and releases; the loop detects
+        missing parts.
         """
         data = encoded(request)
         with self._lock:

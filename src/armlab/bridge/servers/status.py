@@ -134,7 +134,7 @@ class Watch:
             self.told += 1
 
     def arms(self, now_ns: int) -> list[dict[str, str]]:
-        """Return one table row per arm: text by heading."""
+        """Return one table row per arm: as a mapping from headings to text."""
         if self._row is None:
             return []
         return [self._arm(self._row, name, now_ns) for name in _names(self._row) if self._robot in (None, name)]
@@ -208,7 +208,7 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
 
 
 def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_commanded: bool) -> str:
-    """Return the state of an arm that sends packets, or why it cannot move."""
+    """Return the state of an arm that sends packets, or the reason why the arm cannot move."""
     doing = "listening" if not is_answered else "running" if is_commanded else "holding"
     return not_ready_reason(motors, rapid, mci) or doing
 

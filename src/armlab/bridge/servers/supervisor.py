@@ -58,7 +58,7 @@ class _Child:
         self.failure = ""
 
     def read(self) -> None:
-        """Read the standard error of the process and keep its end."""
+        """Read the standard error of the process and keep the most recent output."""
         if not self.errors.is_open:
             return
         with contextlib.suppress(BlockingIOError):
@@ -149,7 +149,7 @@ class Servers:
             self._start(child)
 
     def _fail(self, child: _Child, error: Exception) -> None:
-        """Kill a server whose supervision failed; it is restarted as after a crash."""
+        """Kill a server whose supervision failed; the server is then restarted as after a crash."""
         if child.process is not None:
             child.process.kill()
             child.process.communicate()
@@ -204,9 +204,9 @@ class Servers:
             return
         if child.ends < len(self._restarts):
             delay = self._restarts[child.ends]
-            child.due, then = time.monotonic() + delay, f"It restarts in {delay:g} s."
+            child.due, then = time.monotonic() + delay, f"The server restarts in {delay:g} s."
         else:
-            child.due, then = None, "It is not restarted; the loop continues."
+            child.due, then = None, "The server is not restarted; the loop continues."
             self.dead.add(child.name)
         child.ends += 1
         self._exchange.tell(f"The server {child.name} {what}. {then} Its output: {child.last_output}", warn=True)
@@ -223,7 +223,8 @@ class Servers:
 
 
 class Offering:
-    """Feed of a link's rows for `armlab monitor` and viewers; its clients may only read and stop (see `stoppable`)."""
+    """Feed of a link's rows for `armlab monitor` and viewers; its clients may only read rows and stop the arms (see
+    `stoppable`)."""
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:
         self.exchange: Hub = Hub(robots, [OPERATOR], about={"cell": cell})
@@ -242,7 +243,7 @@ class Offering:
 
 
 def stoppable(controller: Controller, arbiter: Arbiter) -> Controller:
-    """Wrap a controller so that it holds while a client has stopped the arms."""
+    """Wrap a controller so that the arms hold while they are stopped by a client."""
 
     def controlled(state: State) -> Any:
         arbiter.poll()

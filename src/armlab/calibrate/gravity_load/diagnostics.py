@@ -100,14 +100,15 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Raise an error for too few or unexciting samples; return gravity's variation along its second direction."""
+    """Raise an error if there are too few samples or gravity varies too little; return the variation of gravity along
+    its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
             f"Expected at least {needed} samples to fit the {equation.what}, got {equation.N}. Rotate the tool about "
             "two horizontal axes and measure again.",
             [f"everything: {equation.N} samples"],
-            [f"{equation.N} of at least {needed} samples"],
+            [f"{equation.N} samples (at least {needed} required)"],
         )
     if equation.pull is None:
         M = equation.RA.mean(axis=0)
@@ -165,7 +166,7 @@ def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
         free = Load(turn.R, turn.m * equation.pull, np.zeros(3), np.zeros(3))
         times = turn.m / equation.mass
         if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
-            return f"Readings of {times:.3g} times the expected size would fit; check the units."
+            return f"The readings fit a load {times:.3g} times as heavy as the given mass; check the units."
     return "Check that sample i was taken at the same time in both records, and that the poses are tool poses."
 
 

@@ -93,7 +93,7 @@ def fit_force_sensor(
     if y.ndim != 2 or y.shape[1] not in (3, 6) or len(y) != len(RA):
         raise ShapeError(
             f"Expected readings of shape ({len(RA)}, 3) or ({len(RA)}, 6), one per pose with forces first, got "
-            f"{y.shape}. Match them by time first."
+            f"{y.shape}. Match readings and poses by time first."
         )
     finite(y, "wrench")
     if sign not in (1, -1) or isinstance(sign, bool):
@@ -255,7 +255,8 @@ def _better_of_mirrored(
 
 
 def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnknowns) -> None:
-    """Raise an error if readings that do not follow gravity, or too little excitation, caused a failed descent."""
+    """Raise an error if the descent failed because the readings do not follow gravity or because the excitation is too
+    small."""
     (one,) = equation.evaluate(best)
     everything = np.ones(equation.N, dtype=bool)
     require_order_of_tool(equation, everything)

@@ -111,7 +111,7 @@ def fit_dual_arm(
         kinds += measured_kinds(len(q_a), {"pose": absolute_a}, None, noise_absolute)[0]
         if (noise is None) != (noise_absolute is None):
             raise ConfigError(
-                "Expected noise and noise_absolute together, got only one of these. Pass both or omit both."
+                "Expected noise and noise_absolute together, got only one of them. Pass both or omit both."
             )
     held = length_angle(prior, "prior") if weak == "prior" else None
     problem = DualProblem(a, b, tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
@@ -161,7 +161,7 @@ def _measured(
         raise NotExcited(
             f"Expected at least 3 samples with a relative measurement, got {len(rows)}. Measure more samples.",
             ["everything"],
-            [f"{len(rows)} of at least 3 samples"],
+            [f"{len(rows)} samples (at least 3 required)"],
         )
     size = size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3])
     if kind.name == "pose":

@@ -77,10 +77,11 @@ def fit_kinematics(
     length_offset, length_scale : estimate offset and scale of distances, ``measured = scale * true + offset``.
     visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} for a separate mask per kind.
     noise : standard deviations: for poses a pair ([m], [rad]) or 6 values; for positions 1 or 3 values [m]; for
-        distances 1 value [m]. Or covariances (k, k) or (N, k, k). An infinite standard deviation excludes a component.
-        For several kinds of measurement: {"pose": ..., "distance": ...}. Default, also for omitted kinds: estimated.
-    model : "local_poe": steps of the frames; "poe": steps of the base-frame screws and the home pose. Both give the
-        same result.
+        distances 1 value [m]. Alternatively, covariances (k, k) or (N, k, k). An infinite standard deviation excludes a
+        component. For several kinds of measurement: {"pose": ..., "distance": ...}. Default, also for omitted kinds:
+        estimated.
+    model : "local_poe": steps of the frames; "poe": steps of the base-frame screws and the home pose. Both models give
+        the same result.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
         frames. Joint j + 1 moves about or along the z axis of frame j.
     harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, with a prior of 0.1 deg on the amplitudes.
@@ -102,7 +103,7 @@ def fit_kinematics(
     ------
     NotExcited : unidentifiable directions (named in the message).
     NotConverged : inconsistent samples.
-    ShapeError : wrong shapes, unmasked NaN, invalid rotations, millimetres, degrees.
+    ShapeError : wrong shapes, unmasked NaN, invalid rotations, lengths in millimetres, angles in degrees.
     ConfigError, UnknownName : invalid options.
 
     References
@@ -215,7 +216,7 @@ class ArmEstimation(KinematicEstimation[State]):
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
-        """Return the fit, at the equivalent state nearest to the start if `smallest`."""
+        """Return the fit; if `smallest`, return it at the equivalent state nearest to the start."""
         state = self._smallest(found.value) if smallest else found.value
         return self.result(found, state, self._value, notes)
 

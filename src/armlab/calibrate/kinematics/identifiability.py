@@ -176,7 +176,8 @@ def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
 
 
 def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
-    """Return, for each joint with little motion, the directions that can be moved across it to the next frame."""
+    """Return, for each joint with little motion, the directions that can be moved across the joint to the next
+    frame."""
     found = []
     reach = np.ptp(arm.q, axis=0)
     for j in np.flatnonzero(reach < LITTLE):

@@ -57,8 +57,8 @@ def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
     far = np.abs(q[:, ~robot.prismatic])
     if far.size and far.max() > DEGREES:
         raise ShapeError(
-            f"Expected joint angles in radians, got values up to {far.max():.4g} in {name}. They seem to be in "
-            "degrees: use numpy.deg2rad."
+            f"Expected joint angles in radians, got values up to {far.max():.4g} "
+            f"in {name}. The values seem to be in degrees: use numpy.deg2rad."
         )
     return q
 
@@ -86,7 +86,9 @@ def measured_kinds(N: int, given: Mapping[str, Any], visible: Any, noise: Any) -
     """Return the kinds of measurement, and remarks for the report."""
     names = [name for name in KINDS if given.get(name) is not None]
     if not names:
-        raise ConfigError(f"Expected at least one of {', '.join(KINDS)}, got no measurement. Pass one of them.")
+        raise ConfigError(
+            f"Expected at least one of {', '.join(KINDS)}, got no measurement. Pass at least one of these measurements."
+        )
     masks, noises = _by_kind(visible, names, "visible"), _by_kind(noise, names, "noise")
     kinds, notes = [], []
     for name in names:

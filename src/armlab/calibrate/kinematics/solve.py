@@ -245,7 +245,7 @@ class KinematicEstimation(ABC, Generic[S]):
                 f"Expected at least {needed} values to determine the arm, got {got}. Measure at least "
                 f"{-(-needed // each)} samples, preferably twice as many.",
                 ["everything"],
-                [f"{got} of {needed} values"],
+                [f"{got} values ({needed} required)"],
             )
 
     def result(
@@ -302,7 +302,7 @@ class KinematicEstimation(ABC, Generic[S]):
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def _accuracy(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[str]:
-        """Return report lines with the RMS residuals before and after the fit, and of held-out samples."""
+        """Return report lines with the RMS residuals before and after the fit, and for held-out samples."""
         kept = [_kept(one, np.flatnonzero(found.outliers)) for one in data]
         sizes = [_sizes(data, [one.r for one in data], kept)]
         sizes.append(_sizes(data, self._left_out(data, found), kept))
@@ -350,8 +350,9 @@ class KinematicEstimation(ABC, Generic[S]):
             self.judge(data, state, self._instrument(), outside)
             sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
             raise NotConverged(
-                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS). Such residuals leave "
-                "directions undetermined that an instrument accurate to 1 mm would determine. Detect outliers with "
+                f"Expected an arm that fits the measurements, got residuals of {sizes} "
+                "(RMS). Residuals this large leave some directions undetermined; an "
+                "instrument accurate to 1 mm would determine them. Detect outliers with "
                 "robust=True, and check the joint order and the pairing of samples and joint positions.",
                 best=found.value,
                 reason="mismatch",

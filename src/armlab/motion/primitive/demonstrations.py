@@ -48,7 +48,7 @@ class Demo:
 
     @cached_property
     def behind(self) -> np.ndarray:
-        """Whether each coordinate has moved back by more than REVERSAL (N, n); all True without displacement."""
+        """Whether each coordinate is behind its maximum by more than REVERSAL (N, n); all True without displacement."""
         way = self.y[-1] - self.y[0]
         forward = self.y * np.sign(way)
         return np.maximum.accumulate(forward, axis=0) - forward > np.where(way != 0, REVERSAL * abs(way), -1.0)
@@ -68,7 +68,7 @@ class Demo:
 
 
 def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
-    """Return the demonstrations in a pair of arrays, or in lists of arrays."""
+    """Return the demonstrations given as a pair of arrays or as lists of arrays."""
     many = isinstance(t, Sequence) and len(t) > 0 and np.ndim(t[0]) == 1
     if not many:
         return [_demo(t, y, sample_weights, "")]

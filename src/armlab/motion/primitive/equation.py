@@ -125,7 +125,7 @@ class Equation:
             raise ShapeError(f"Expected widths (standard deviations) above 0, got {self.widths.min():g}. Correct them.")
         if self.limits is not None and (self.limits.shape != (2, n) or (self.limits[0] > self.limits[1]).any()):
             raise ShapeError(
-                f"Expected limits (2, {n}), with the lowest before the highest, got shape {self.limits.shape}."
+                f"Expected limits (2, {n}), with the lowest goals in the first row, got shape {self.limits.shape}."
             )
         if self.demo_weights is not None and self.demo_weights.shape[1:] != (m, n):
             raise ShapeError(f"Expected demo_weights of shape (M, {m}, {n}), got {self.demo_weights.shape}.")
@@ -188,7 +188,7 @@ class Equation:
         return self._primitive.basis(numbers(x, "x", ShapeError))
 
     def forcing(self, x: ArrayLike) -> np.ndarray:
-        """Return the forcing (..., n) of the demonstration at phases: ``(psi(x) w)`` times x, or times the time gate.
+        """Return the forcing (..., n) of the demonstration: ``(psi(x) w)`` times x, or times the fade-out of "time".
 
         Parameters
         ----------

@@ -52,11 +52,11 @@ def fit_dmp(
     """Fit a movement primitive to one or several demonstrations.
 
     "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and the free ends. The problem is linear and needs no
-    derivatives of measurements; with schedule "position", it is solved by Gauss-Newton. "acceleration" minimises
-    ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` from central differences.
-    "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``. For the last two methods,
-    the covariance assumes white residuals of f, which does not hold in practice. Several demonstrations share the
-    weights, but each demonstration keeps its own duration, start and goal.
+    derivatives of measurements; with schedule "position", it becomes nonlinear and is solved by Gauss-Newton.
+    "acceleration" minimises ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)``
+    from central differences. "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``.
+    For the last two methods, the covariance assumes white residuals of f, which does not hold in practice. Several
+    demonstrations share the weights, but each demonstration keeps its own duration, start and goal.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def fit_dmp(
     scaling : scaling of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
     convention : choice of alpha_x and tau_d: "lund" or "ijspeert".
     alpha_z, beta_z : spring constants; default of beta_z: alpha_z / 4, for critical damping.
-    ridge : penalty on the squared weights; `cov` covers the noise, not the bias of the penalty.
+    ridge : penalty on the squared weights; `cov` accounts for the noise, but not for the bias due to the penalty.
     pin : names among "y0", "v0" and "g" that are taken from the first and last samples instead of fitted. A free goal
         can hardly be separated from the forcing.
     hold : standstill time at the goal after the end, divided by the duration of the motion; 0 if the motion does not
@@ -76,7 +76,7 @@ def fit_dmp(
     y0, v0, g : (n,) known start, velocity and goal.
     sample_weights : (N,) non-negative sample weights, or a list of such arrays.
     bandwidth : bandwidth of the smoothed derivatives [Hz], for "acceleration" and "lwr" with uniform times.
-    raw_kernels : weight by unnormalised kernels, for "lwr".
+    raw_kernels : use unnormalised kernels as weights, for "lwr".
     limits : lowest (n,) and highest (n,) goal accepted by runs and steppers of the primitive, in the unit of y;
         default: no limits.
 
@@ -171,7 +171,7 @@ def _limits(limits: Any, n: int) -> np.ndarray | None:
 
 
 def _check_monotone(demos: list[Demo]) -> None:
-    """Raise an error if a coordinate is not monotone; its position cannot serve as a phase."""
+    """Raise an error if a coordinate is not monotone, because its position then cannot serve as a phase."""
     for k, demo in enumerate(demos):
         which = f" of demonstration {k}" if len(demos) > 1 else ""
         for i in range(demo.y.shape[1]):

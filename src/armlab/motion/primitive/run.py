@@ -60,7 +60,7 @@ class Rollout(Shown):
 
 @dataclass(frozen=True)
 class RunParameters:
-    """Parameters of a run with arrays (n,), or of K runs on one clock with arrays (K, n); `tau` is in seconds."""
+    """Parameters of a run with arrays (n,), or of K runs on a common clock with arrays (K, n); `tau` is in seconds."""
 
     dmp: Equation
     primitive: Any
@@ -85,7 +85,8 @@ class RunParameters:
     ) -> RunParameters:
         """Fill in omitted `RunOptions` from the demonstration.
 
-        `runs` is the number of runs, or 1 if the starts set it; None means a single run with arrays of shape (n,).
+        `runs` is the number of runs, or 1 if the shapes of the arguments determine it; with None, a single run has
+        arrays (n,).
         """
         tau = _tau(dmp, duration, tau_d)
         given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
@@ -131,7 +132,8 @@ class RunParameters:
 def _tau(dmp: Equation, duration: float | None, tau_d: float | None) -> float:
     if duration is not None and tau_d is not None:
         raise ConfigError(
-            "Expected either duration or tau_d, got both. Omit one of them, because the primitive fixes their ratio."
+            "Expected either duration or tau_d, got both. Omit either "
+            "duration or tau_d, because the primitive fixes their ratio."
         )
     if tau_d is not None:
         return positive(tau_d, "tau_d [s]", "A typical value is 1 s.")
@@ -201,7 +203,7 @@ def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
 
 
 def advance(dt: float, *steppers: Any) -> list[Any]:
-    """Return the results of compiled steppers after a time dt [s]."""
+    """Advance compiled steppers by dt [s] and return their results."""
     try:
         return [one.step(dt) for one in steppers]
     except TypeError:
@@ -210,17 +212,17 @@ def advance(dt: float, *steppers: Any) -> list[Any]:
 
 
 class Stepper:
-    """One run of a `Dmp`, sample by sample; created by `Dmp.stepper`.
+    """Sample-by-sample run of a `Dmp`; created by `Dmp.stepper`.
 
-    It is equivalent to `Dmp.rollout`, but step sizes may vary, and the goal and duration may change. A filtered goal
-    follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled with the filtered goal. After a goal change, a
-    brake enforces ``v^2 <= 2 a |goal - y|`` where possible, and keeps y on the same side of the goal.
+    The stepper is equivalent to `Dmp.rollout`, but step sizes may vary, and the goal and duration may change. A
+    filtered goal follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled with the filtered goal. After a
+    goal change, a brake enforces ``v^2 <= 2 a |goal - y|`` where possible, and keeps y on the same side of the goal.
 
     Parameters
     ----------
     run : the run, with start, goal and time.
     goal_forcing : "shift" or "scale"; None: the default for the scaling.
-    goal_rate : rate of the goal filter, times tau_d.
+    goal_rate : product of tau_d and the rate of the goal filter.
     brake : whether to brake in monotone coordinates.
     around : obstacles to avoid, as `armlab.kernels.Obstacles`.
 
@@ -366,7 +368,9 @@ def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollo
         at = inside if last else np.append(inside, end)
         found = solve_ivp(slope, (begin, end), state, "DOP853", at, rtol=rtol, atol=atol, max_step=(end - begin) / 20)
         if not found.success:
-            raise NotConverged(f"Expected a solution, got a failed integration: {found.message} Loosen the tolerances.")
+            raise NotConverged(
+                f"Expected the integration to succeed, but it failed: {found.message} Loosen the tolerances."
+            )
         rows.append(found.y.T[: len(inside)])
         state = found.y[:, -1]
     y, z = np.split(np.concatenate(rows), 2, axis=1)

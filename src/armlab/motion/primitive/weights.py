@@ -45,7 +45,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class WeightProblem:
-    """Primitive without weights; demonstrations with scales, starts and goals (M, n); options of `fit_dmp`.
+    """Fitting problem: empty primitive, options of `fit_dmp`, and demonstrations with scales, starts, goals (M, n).
 
     Start, velocity and goal, selected by name, are `pinned` to the samples, `known` (n,), or free.
     """
@@ -91,7 +91,7 @@ def learn(problem: WeightProblem) -> Learned:
 
 
 def _refined(problem: WeightProblem, learned: Learned) -> Learned:
-    """Refine the weights for schedule "position" by Gauss-Newton steps, starting from the regression."""
+    """Refine the weights for schedule "position" by Gauss-Newton steps, starting from the linear regression."""
     blank, demos = problem.blank, problem.demos
     roots = np.sqrt(np.concatenate([demo.weights for demo in demos]))
     y = np.concatenate([demo.y for demo in demos])
@@ -117,7 +117,7 @@ def _refined(problem: WeightProblem, learned: Learned) -> Learned:
 
 @dataclass(frozen=True)
 class _MotionRows:
-    """Rows of one demonstration: samples, then standstill. Kernels (R, m), ends (R, 3), root weights (R,)."""
+    """Regression rows: samples, then standstill. Kernels (R, m), ends (R, 3), square roots of weights (R,)."""
 
     kernels: np.ndarray
     ends: np.ndarray
@@ -278,7 +278,7 @@ class _ForcingRows:
 
 
 def _least_squares(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.ndarray, ...]:
-    """Return weights, unit covariance, triangle and sums of squares."""
+    """Return weights, unit covariance, triangular factor and sums of squares."""
     roots, m, (N, q), ridge = np.sqrt(rows.weights), rows.blank.n_basis, rows.f.shape, problem.ridge
     penalty = np.full(m, ridge) if ridge else None
     height = rows_needed(N, m, penalty)
@@ -372,7 +372,8 @@ def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
 def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
     """Solve as `solve` does, but in place.
 
-    `joined` (rows, p + q), in Fortran order, contains A in its top left corner and zeros elsewhere; it is overwritten.
+    `joined` (rows, p + q), in Fortran order, contains A in its top left corner and zeros elsewhere; the array is
+    overwritten.
     """
     p = joined.shape[1] - b.shape[1]
     joined[: len(b), p:] = b

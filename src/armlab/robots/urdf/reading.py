@@ -161,7 +161,7 @@ def _origin(element: Element) -> np.ndarray:
 def _rotation(origin: Element) -> np.ndarray:
     """Return the rotation of ``quat_xyzw``, the alternative to rpy in URDF 1.2."""
     if "rpy" in origin.attributes:
-        raise origin.error("either rpy or quat_xyzw of <origin>", "both", "Remove one of them.")
+        raise origin.error("either rpy or quat_xyzw of <origin>", "both", "Remove either rpy or quat_xyzw.")
     x, y, z, w = origin.numbers("quat_xyzw", 4)
     try:
         return quaternion.to_matrix([w, x, y, z])
@@ -170,7 +170,7 @@ def _rotation(origin: Element) -> np.ndarray:
 
 
 def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:
-    """Return q_min, q_max, qd_max, tau_max; missing positions are 0, and a speed or effort of 0 means unlimited."""
+    """Return q_min, q_max, qd_max, tau_max; a missing position limit is 0; a speed or effort of 0 means unlimited."""
     limit = element.one("limit") or Element("limit", {}, element.file, element.line)
     lower, upper = limit.limit("lower", 0.0), limit.limit("upper", 0.0)
     if kind not in ("revolute", "prismatic"):
@@ -180,7 +180,7 @@ def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, flo
 
 @dataclass(slots=True)
 class Element:
-    """XML element; its readers raise `RobotError` with file and line."""
+    """XML element whose methods raise `RobotError` with file and line."""
 
     tag: str
     attributes: dict[str, str]
@@ -242,7 +242,9 @@ class Element:
             raise self.error(f"a finite number in {name} of <{self.tag}>", repr(word), "Correct it.")
         value = float(word)
         if not abs(value) < LARGEST:
-            raise self.error(f"numbers below {LARGEST:g} in {name} of <{self.tag}>", word, "Correct it; units are SI.")
+            raise self.error(
+                f"numbers below {LARGEST:g} in {name} of <{self.tag}>", word, "Correct the value; units are SI."
+            )
         return value
 
 
@@ -270,7 +272,9 @@ def parse_xml(data: str | bytes, file: str) -> Element:
 
     def document_type(name: str, *_: object) -> None:
         place = Element(name, {}, file, parser.CurrentLineNumber)
-        raise place.error("XML without a document type", "a <!DOCTYPE>", "Remove it, because a URDF needs no entities.")
+        raise place.error(
+            "XML without a document type", "a <!DOCTYPE>", "Remove the document type, because a URDF needs no entities."
+        )
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _tag: open_elements.pop()

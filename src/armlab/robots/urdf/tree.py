@@ -385,7 +385,7 @@ def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, fl
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Joint on the path, traversed downwards or upwards, with the links rigidly attached behind it."""
+    """Joint on the path, traversed downwards or upwards, with the links rigidly attached on its far side."""
 
     joint: Joint
     # pose of the joint's armlab frame, z along the axis, in the frame of the previous joint, or in the base
@@ -492,7 +492,7 @@ def _check_joint(tree: Tree, joint: Joint) -> None:
 
 
 def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np.ndarray | None, list[str]]:
-    """Return the inertias (n, 10), or None for a file without masses, and the joints without known mass behind them."""
+    """Return the inertias (n, 10), or None for a file without masses, and the joints that carry no known mass."""
     inertias, massless, odd, weightless = np.zeros((len(steps), 10)), [], [], []
     for pi, step in zip(inertias, steps):
         for name, T in step.T_link_body.items():
@@ -552,7 +552,7 @@ def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[s
 
 
 def _side_branches(tree: Tree, steps: list[Step]) -> dict[str, str]:
-    """Return the moving joints that branch off the arm, each with the link behind it."""
+    """Return the moving joints that branch off the arm, each with its outer link."""
     found = {}
     for step in steps:
         for name in step.T_link_body:

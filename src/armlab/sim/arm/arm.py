@@ -5,17 +5,17 @@ Leapfrog steps, with positions and velocities half a step apart, keep the stiff 
     v_k = v_{k-1/2} + a_{k-1} h/2,   M a_k = tau - C v_k - G - F_f + J^T F,   v_{k+1/2} = v_{k-1/2} + a_k h,
     q_{k+1} = q_k + v_{k+1/2} h
 
-A packet reports the state at the start of the last step of its period, which satisfies the equation of motion exactly.
-The sensors add elastic gears (compliance c), delay d, noise, quantisation and gains g (see `Mismatch`)::
+A packet reports the state at the start of the last step of its period; this state satisfies the equation of motion
+exactly. The sensors add elastic gears (compliance c), delay d, noise, quantisation and gains g (see `Mismatch`)::
 
     q   = g_q  round(q + c tau_link),         tau_link = tau - F_f - rotor qdd, torque through the gear
     tau = g_tau round(tau_{k-d} + noise)
 
 Parameter values: docs/theory/simulated_arm.md.
 
-The drive is a position loop around a velocity loop with integral action. It runs per joint at every physics step h,
-with the nominal inertia J at the home posture. The research extension scales both gains (default 1) and adds a torque
-(default 0)::
+The drive is a position loop around a velocity loop with integral action. Both loops run for each joint at every physics
+step h, with the nominal inertia J at the home posture. The research extension scales both gains (default 1) and adds a
+torque (default 0)::
 
     e   = gain_qd (v_ref - v) + gain_q POSITION_GAIN (q_ref - q),   I += gain_q h e / INTEGRAL_TIME
     tau = J (gain_qd a_ref + VELOCITY_GAIN (e + gain_q I)) + feedforward (C v + G) + tau_added,   |tau| <= tau_max
@@ -86,7 +86,7 @@ class JointDrives:
         self._added = (tau, gain_q, gain_qd)
 
     def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
-        """Set the integral to the torque `holding` that keeps the arm at rest; `bias` is the gravity torque [N m]."""
+        """Start the integral at the torque `holding` that keeps the arm at rest; `bias` is the gravity torque [N m]."""
         self._integral[:] = (holding - self._feedforward * bias) / self._gain
 
     def torque(
@@ -310,7 +310,9 @@ class SimulatedArm:
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
         if len(truth.pi) != robot.n:
-            raise ShapeError(f"Expected a truth for {robot.n} joints of robot {robot.name!r}, got {len(truth.pi)}.")
+            raise ShapeError(
+                f"Expected a truth for the {robot.n} joints of robot {robot.name!r}, got a truth for {len(truth.pi)} joints."
+            )
         self.mismatch = mismatch = mismatch or Mismatch()
         self.robot, self.built, self.period = robot, built_robot(mismatch, robot), period
         self.truth = truth = built_truth(mismatch, truth, self.built)

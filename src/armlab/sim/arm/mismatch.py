@@ -35,7 +35,7 @@ COUNTS = ("gear_sign", "torque_delay", "seed")
 
 @dataclass(frozen=True, repr=False)
 class Mismatch(Shown):
-    """Differences between the simulated arm and its description; by default, the arm equals its description exactly.
+    """Differences between the simulated arm and its description; by default, the arm matches its description exactly.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Mismatch(Shown):
     link_length : float
         Error of each coordinate of the translation from one joint frame to the next [m].
     joint_zero : float
-        Offset of each joint's zero [rad or m].
+        Offset of each joint's zero position [rad or m].
     mass : float
         Relative error of each link's mass and inertia.
     centre : float

@@ -163,7 +163,7 @@ def _invented(robot: Robot) -> _Sizes | None:
 
 
 def no_masses(robot: Robot) -> str:
-    """Return why an arm can only be simulated kinematically, or "" if it has masses."""
+    """Return the reason why an arm can be simulated only kinematically, or "" if the arm has masses."""
     if _invented(robot) or (robot.inertias is not None and robot.inertias[:, 0].any()):
         return ""
     return (

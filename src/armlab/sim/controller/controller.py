@@ -223,7 +223,7 @@ class ReplyQueue:
         return message
 
     def standing(self) -> str:
-        """Return a warning if the queue has not been empty for 1 s, otherwise ""; called once per cycle."""
+        """Return a warning if the queue has been non-empty for 1 s, otherwise ""; called once per cycle."""
         return self._standing.after(len(self._queue), self._period)
 
     def _find(self, message: SensorMessage) -> tuple[str, Sent | None]:
@@ -367,7 +367,7 @@ class SimulatedController:
         self.cycle += cycles
 
     def lose_peer(self) -> None:
-        """End the session as CommTimeout would; for lockstep, because robot time stops while the peer is silent."""
+        """End the session as CommTimeout would; needed in lockstep, where robot time stops while the peer is silent."""
         if self.phase in _MCI:
             self._no_data()
 

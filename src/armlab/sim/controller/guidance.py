@@ -23,7 +23,7 @@ _OVERSHOOT = 0.02  # rad: largest filter overshoot beyond a limit
 
 
 class Guidance:
-    """Reference generator: `q` and `qd` (n,) for the drives, and the speed `utilization` it requires [%]."""
+    """Reference generator: `q` and `qd` (n,) for the drives, and the `utilization` of the speed limits [%]."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -92,7 +92,7 @@ class Guidance:
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 
     def _outside(self, q: np.ndarray, margin: float) -> np.ndarray:
-        """Return the mask of ABB's axes that are out of range; they equal joints unless a parallel rod exists."""
+        """Return the mask of ABB's axes that are out of range; without a parallel rod, ABB's axes equal the joints."""
         axes = q if self._linkage is None else self._linkage.axes(q)
         return (axes < self._robot.q_min - margin) | (axes > self._robot.q_max + margin)
 
@@ -111,7 +111,7 @@ _FASTEST = 1.0  # rad/s
 
 
 class ExternalAxes:
-    """Up to six external axes, initially at 0 rad and limited to 1 rad/s: ``q += T k (q_ref - q)``, k the gain."""
+    """Up to six external axes, starting at 0 rad, limited to 1 rad/s: ``q += T k (q_ref - q)``, where k is the gain."""
 
     def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
@@ -161,7 +161,7 @@ class ReferenceDecoder:
         return 1 if self._has_position_loop else 2
 
     def read(self, message: SensorMessage, planned: np.ndarray) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Return the references (q, qd) of a message, which may be NaN; None if the pose is out of reach."""
+        """Return the references (q, qd) in a message, which may contain NaN; None if the pose is out of reach."""
         if self._mode == "joint":
             q = message.q if message.q_reference is None else message.q_reference
             qd = message.qd if message.qd_reference is None else message.qd_reference
@@ -199,7 +199,7 @@ class ReferenceDecoder:
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
 
     def apply(self, drive: JointDrives | None) -> None:
-        """Set the torque and gains of the drives, which are None for an arm without masses."""
+        """Apply the added torque and the gains to the drives; an arm without masses has no drives."""
         if drive is not None:
             drive.assist(self.tau, self.gain_q, self.gain_qd)
 

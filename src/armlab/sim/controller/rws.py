@@ -38,7 +38,7 @@ FAULTS = {
     "main": "another module contains a procedure main",
     "module": "the guidance module is loaded with different content",
     "file": "the guidance module in the home folder has different content",
-    "semantic": "RAPID refuses the module",
+    "semantic": "RAPID rejects the module",
     "device": "no UDP devices are configured",
     "address": "the UDP devices send to another computer",
     "interface": "no external motion interface is configured",
@@ -345,7 +345,7 @@ def _held(box: VirtualController, asked: _Request) -> list[dict[str, Any]]:
 
 
 def _mastered(change: Callable[[VirtualController, _Request], None]) -> _Answer:
-    """Return a change that requires mastership, which RobotWare 6 takes implicitly if it is free."""
+    """Wrap a change that requires mastership; RobotWare 6 acquires mastership implicitly if it is free."""
 
     def answer(box: VirtualController, asked: _Request) -> None:
         implicit = not box.is_rws2 or asked.query.get("mastership") == "implicit"

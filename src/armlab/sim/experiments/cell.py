@@ -54,7 +54,7 @@ class CalibrationCell(Shown):
         return sensors.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
 
     def moving_hand_eye(self, run: int = 0, N: int = 60, *, jitter: float = 0.01) -> MovingSights:
-        """Draw two recordings of a moving arm: its joint positions at 250 Hz, and a camera with a jittering `clock`.
+        """Draw two recordings of a moving arm: joint positions at 250 Hz, and camera images with a jittering `clock`.
 
         Parameters
         ----------
@@ -174,13 +174,13 @@ class CalibrationCell(Shown):
         return kinematics.dual_run(run, self.seed, N, wrong)
 
     def laser(self, run: int = 0, N: int = 60, *, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
-        """Draw tool poses A and the lines `scans` that a scanner on the tool measures on flat plates `plane`.
+        """Draw tool poses A and the lines `scans` that a scanner on the tool measures on flat plates (index `plane`).
 
         Parameters
         ----------
         run : number of the experiment.
         N : number of scans.
-        size : scale of the noise; 1 is 0.5 mm.
+        size : scale of the noise; 1 corresponds to 0.5 mm.
         plates : number of plates, one to three, scanned in turn.
         wrong : number of outliers: the first scans are moved by 20 mm and rotated by 10 degrees.
 

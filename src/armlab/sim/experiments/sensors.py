@@ -1,8 +1,8 @@
 """Sensor experiments with known ground truth: hand-eye at rest and in motion, force sensor, accelerometer, scanner.
 
-Reordering the code changes the random numbers. The line scanner hits plates e_j.x = 1 within 0.2 m. Scans are drawn in
-batches, so their distribution follows the specification, but individual samples do not. Scans nearly parallel to a
-plate are drawn again, because the fit would reject them.
+Reordering the code changes the random numbers. The scanner hits the plates e_j.x = 1 at ranges of up to 0.2 m. Scans
+are drawn in batches, so their distribution follows the specification, but individual samples do not. Scans nearly
+parallel to a plate are drawn again, because the fit would reject them.
 """
 
 from __future__ import annotations
@@ -177,8 +177,8 @@ CONTACT = 20.0  # N
 class Weighed:
     """Tool orientations and readings of a sensor with a load, and the ground truth.
 
-    `bias` is -R^T o of the specification, followed by the torque bias. `weight` is in base axes. `exact` contains the
-    readings without noise and contact; `touched` marks the samples with contact.
+    `bias` contains -R^T o in the notation of the specification, followed by the torque bias. `weight` is in base axes.
+    `exact` contains the readings without noise and contact; `touched` marks the samples with contact.
     """
 
     RA: np.ndarray

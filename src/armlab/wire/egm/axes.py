@@ -34,9 +34,9 @@ class AxisMap:
     """Permutation and units of one robot; with w = joints ++ externalJoints, q[i] = scale[i] * w[abb_axes[i] - 1].
 
     Revolute joints and external axes are in degrees on the wire. A prismatic joint among the first six arrives as
-    metres times 180/pi (abb_libegm pull request 142), so its factor is that of a revolute joint; beyond the sixth
-    joint, it is in millimetres. `units` ("deg" or "mm", for each joint in kinematic order and then for each external
-    axis) replaces this rule. An arm without joints is an external unit, whose axes are all external joints.
+    metres times 180/pi (abb_libegm pull request 142), so it has the factor of a revolute joint; a later prismatic joint
+    arrives in millimetres. `units` ("deg" or "mm", for each joint in kinematic order and then for each external axis)
+    replaces this rule. An arm without joints is an external unit, whose axes are all external joints.
     """
 
     order: tuple[int, ...]  # axis of each joint, from 0
@@ -63,11 +63,11 @@ class AxisMap:
         self._inverse = tuple(order.index(k) for k in range(arm.n))
 
     def kinematic(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Reorder values of ABB's axes to kinematic order."""
+        """Reorder values from ABB's axis order to kinematic order."""
         return tuple(values[k] for k in self.order)
 
     def abb(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Reorder values of the joints to ABB's order."""
+        """Reorder joint values from kinematic order to ABB's axis order."""
         return tuple(values[k] for k in self._inverse)
 
     def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:

@@ -247,8 +247,8 @@ class RobotSideCodec:
         if size > MAX_BYTES:
             spare = ", ".join(reversed(self._arrays)) or "the external axes and the RAPID data"
             raise ConfigError(
-                f"Expected messages of at most {MAX_BYTES} bytes, the buffer of other EGM clients, got up to {size} in "
-                f"this configuration. Omit some of {spare}."
+                f"Expected messages of at most {MAX_BYTES} bytes, the buffer size of other EGM "
+                f"clients, got up to {size} bytes in this configuration. Omit some of {spare}."
             )
 
     def _sensor(self, sensor: Any) -> SensorMessage:

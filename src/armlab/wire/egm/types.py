@@ -146,7 +146,7 @@ class Codec(Protocol):
     """Plug-in interface of the bridge for protocols other than EGM: converts bytes to SI values and back.
 
     `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque", "external_axes", "rapid_data"}.
-    `encode` may omit fields outside its capabilities, because the bridge refuses such commands.
+    `encode` may omit fields outside its capabilities, because the bridge rejects such commands.
     """
 
     capabilities: frozenset[str]

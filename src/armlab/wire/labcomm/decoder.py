@@ -1,8 +1,8 @@
 """Decoder of LabComm streams.
 
 A single generator walks through the stream and waits for missing bytes, so the events do not depend on how the stream
-is split. A packet with a length is decoded once it is complete. A walk finds the end of a packet without a correct
-length (2013, 2006, data of 2014old).
+is split. A packet with a length is decoded once it is complete. If a packet has no correct length (2013, 2006, data of
+2014old), the decoder walks over the content to find the end.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def value_end(source: Source, node: Type, pos: int, end: int, wide: bool, limits
         where = pos
         size, pos = yield from number(source, pos, end, wide)
         if pos + size > end:
-            raise _bad(where, "a string that ends in its packet", f"{size} bytes")
+            raise _bad(where, "a string that ends within its packet", f"{size} bytes")
         pos += size
     if pos > end:
         raise Cut
@@ -352,8 +352,8 @@ class Decoder:
 
         Raises
         ------
-        LabCommError : the stream is malformed. `offset` is the position, and `events` contains the events before it.
-            Every later call raises the same error.
+        LabCommError : the stream is malformed. The error's `offset` is the position of the fault, and `events` contains
+            the events before the fault. Every later call raises the same error.
         """
         if self._error is not None:
             raise self._error
@@ -411,7 +411,8 @@ class Decoder:
     def _packets(self, dialect: Dialect) -> Walk:
         """Walk over packets with lengths until the dialect changes from 2014 to 2014i.
 
-        Most packets have the same type as the previous packet. If its size is fixed, comparing the heads is sufficient.
+        Most packets have the same type as the previous packet. If packets of this type have a fixed size, comparing the
+        heads is sufficient.
         """
         source, limits = self._source, self._limits
         buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)

@@ -131,7 +131,7 @@ class Encoder:
 
 
 def write_packet(event: Event, dialect: str, length: int | None = None) -> bytes:
-    """Return the bytes of one packet."""
+    """Return the bytes of the packet for one event."""
     kind = dialect_named(dialect)
     number = kind.number
     if isinstance(event, Version):

@@ -131,12 +131,12 @@ def number(source: Source, pos: int, end: int, wide: bool) -> Number:
 
 
 def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Generator[None, None, tuple[str, int]]:
-    """Walk over a string of a label, in strict UTF-8."""
+    """Walk over the string of a label, which must be valid UTF-8."""
     size, start = yield from number(source, pos, end, wide)
     if size > longest:
         raise LabCommError(f"Expected a name of at most {longest} bytes at byte {pos}, got {size}.", pos)
     if start + size > end:
-        raise LabCommError(f"Expected a string that ends in its packet at byte {pos}, got {size} bytes.", pos)
+        raise LabCommError(f"Expected a string that ends within its packet at byte {pos}, got {size} bytes.", pos)
     yield from source.need(start + size)
     raw = source.slice(start, start + size)
     try:
@@ -424,7 +424,7 @@ Writer = Callable[[Any], bytes]
 
 
 class Misfit(Exception):
-    """Value that does not match its type, with the path from the innermost part outwards."""
+    """Value that does not match its type, with the path to the invalid part, innermost element first."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -500,7 +500,7 @@ def _write_struct(node: Struct, wire: Wire) -> Writer:
 
 
 def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
-    """Return a writer that uses one `struct` call; writing values one by one locates an invalid value."""
+    """Return a writer that uses one `struct` call; if it fails, values are written singly to find the invalid value."""
     form, counts = _flat_forms(fields)
     pack, parts = form.pack, list(zip([field.name for field in fields], counts, strict=True))
     one_by_one = [_field(field, wire) for field in fields]

@@ -314,4 +314,4 @@ def test_what_was_not_taken_is_told_once_and_counted(bench: Bench, monkeypatch: 
     client.socket.sendall(encoder.data(nothing, {}))
     bench.until(lambda: any("was refused (1501 so far)" in text for text in bench.said))
     client.socket.close()
-    bench.until(lambda: bench.said[-1].endswith("disconnected; 1501 of its samples were refused."))
+    bench.until(lambda: bench.said[-1].endswith("disconnected; 1501 samples from this client were refused."))

@@ -220,7 +220,7 @@ def test_a_newer_goal_of_the_same_client_replaces_the_first(bench: Bench) -> Non
     assert bench.until(wrong)[0] == ABORTED, "a refused goal changes nothing"
     assert not first
     second = bench.send(3, {"trajectory": trajectory((1.0, 0.0))})
-    assert bench.until(first) == (ABORTED, -1, "A newer command replaced it.")
+    assert bench.until(first) == (ABORTED, -1, "A newer command replaced this one.")
     assert bench.until(second) == (SUCCEEDED, 0, "")
     np.testing.assert_allclose(bench.q, ROBOT.q_home, atol=1e-6)
 

@@ -266,7 +266,7 @@ def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start,
         wire.cut()
         until(lambda: heard(one, "or the connection to it was lost"))
         wire.mend()
-        until(lambda: heard(one, "is back in the same run"))
+        until(lambda: heard(one, "is reachable again, in the same run"))
         got.clear()
         until(lambda: heard(one, Row))
         wire.cut()

@@ -18,7 +18,7 @@ from armlab.wire.labcomm import Decoder, Encoder, Sample, idl
 from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleType, Type, dialect_named
 
 QUEUE = 64
-"""Maximum number of packets queued for a slow peer; beyond it, the oldest data packets are dropped."""
+"""Maximum number of packets queued for a slow peer; beyond this limit, the oldest data packets are dropped."""
 
 _AT_ONCE = 65_536  # bytes per read
 _PATIENCE = 5.0  # s: time limit for a packet to be completed, and for a peer to read
@@ -117,7 +117,7 @@ class Peer:
         else:
             self._packet = (self.decoder.offset, now)
         if self._stuck is not None and now - self._stuck > _PATIENCE:
-            return f"it read nothing for {_PATIENCE:g} s"
+            return f"the client read nothing for {_PATIENCE:g} s"
         return ""
 
     def close(self) -> None:
@@ -226,7 +226,9 @@ class ArmChannel(Channel):
             return
         if not self.types.accepts(SampleType(event.name, event.type)):
             self.counts["other type"] += 1
-            raise LabCommError(f"Expected {self.types.accepted.name} on this port, got a sample {event.name!r}.")
+            raise LabCommError(
+                f"Expected {self.types.accepted.name} on this port, got a sample of type {event.name!r}."
+            )
         try:
             row = self.types.command(event.value)
         except LabCommError:
@@ -293,9 +295,10 @@ OnSet = Callable[[str, Any, str], Any]
 
 
 class ParameterChannel(Channel):
-    """Parameter channel: a received sample sets a parameter; each subscriber gets changes in the type that it defined.
+    """Parameter channel: a received sample sets a parameter; each subscriber receives value changes in the type that it
+    has defined.
 
-    Types: ``double name``, ``double name[_]`` (or with its size), ``boolean name`` and ``string name``.
+    Types: ``double name``, ``double name[_]`` (or with the array size), ``boolean name`` and ``string name``.
     """
 
     def __init__(
@@ -362,7 +365,7 @@ class ParameterChannel(Channel):
 
 
 def _is_valid(value: Any) -> bool:
-    """Return whether a value consists of finite numbers, or is a text that every client can decode."""
+    """Return whether a value consists of finite numbers, or is text that every client can decode."""
     if isinstance(value, str):
         return "\0" not in value and not any("\ud800" <= one <= "\udfff" for one in value)
     return all(math.isfinite(one) for one in (value if isinstance(value, list) else [value]))

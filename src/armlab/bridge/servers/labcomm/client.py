@@ -32,12 +32,13 @@ def connected(host: str, port: int, patience: float) -> socket.socket:
         return socket.create_connection((host, port), timeout=patience)
     except (OSError, OverflowError) as error:
         raise LinkError(
-            f"Expected a LabComm server at {host}:{port}, got: {error}. Start it (armlab bridge), or check the address."
+            f"Expected a LabComm server at {host}:{port}, got: {error}. "
+            "Start the server (armlab bridge), or check the address."
         ) from error
 
 
 def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: Iterable[SampleType]) -> Peer:
-    """Return a peer whose queue contains VERSION and the definitions of these types."""
+    """Return a peer whose queue contains VERSION and the definitions of the given types."""
     peer = Peer(connection, address, encoder)
     peer.push(encoder.version(), may_drop=False)
     for sample in samples:
@@ -441,7 +442,7 @@ class RowPort:
         return peer
 
     def _lose(self) -> None:
-        """Replace the connection with a silent socket and schedule a reconnection."""
+        """Replace the connection with an idle placeholder socket and schedule a reconnection."""
         self.errors += 1
         self._peer, self._count, self._retry = None, 0, time.monotonic() + _RECONNECT
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as idle:

@@ -33,7 +33,7 @@ from armlab.robots import Robot
 
 
 def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
-    """Return an arm's part of a loop row, or None before the first packet or if its clock is invalid."""
+    """Return an arm's part of a loop row, or None before the first packet or if the clock of the arm is invalid."""
     tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
     if tm is None or not math.isfinite(values[f"{name}.age"]):
         return None

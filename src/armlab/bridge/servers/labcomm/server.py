@@ -92,7 +92,8 @@ class Ports:
         self._flush_all(channel)
 
     def turn(self) -> bool:
-        """Wait at most 50 ms for client events, handle a limited share per client, and return whether any arrived."""
+        """Wait at most 50 ms for client events, handle a limited number of events per client, and return whether any
+        arrived."""
         ready = self._selector.select(_CHECK_EVERY)
         served, most = False, max(_TURN // max(len(ready), 1), _LEAST)
         for key, mask in ready:
@@ -132,7 +133,10 @@ class Ports:
         address, peers = f"{host}:{port}", self._peers[channel.name]
         if len(peers) >= _CLIENTS:
             connection.close()
-            self._report(f"{channel.name}: {address} was closed, because {_CLIENTS} clients are connected.", warn=True)
+            self._report(
+                f"{channel.name}: the connection from {address} was closed, because {_CLIENTS} clients are connected.",
+                warn=True,
+            )
             return
         peer = Peer(connection, address, None if channel.follows_client else Encoder(channel.dialect))
         peers.append(peer)
@@ -183,7 +187,7 @@ class Ports:
             self._report(text, warn=True)
 
     def _check(self, now: float) -> None:
-        """Close clients that have timed out; greet clients that have not shown their dialect in time."""
+        """Close clients that have timed out; greet clients whose dialect is still unknown after a timeout."""
         for name, peers in self._peers.items():
             channel = self._channels[name]
             for peer in list(peers):
@@ -195,7 +199,7 @@ class Ports:
                     self._flush(channel, peer)
 
     def _settle(self, channel: Channel, peer: Peer) -> None:
-        """Choose the dialect of a client on a port with follows_client, after a definition or the timeout."""
+        """Choose the dialect of a client on a follows_client port, after its first definition or the timeout."""
         if peer.encoder is None:
             peer.encoder = Encoder(peer.decoder.dialect or channel.dialect)
             channel.greet(peer)
@@ -227,8 +231,8 @@ class Ports:
         peer.close()
         channel.left(peer)
         why = f" was closed, {reason.rstrip('.')}" if reason else " disconnected"
-        lost = f"; {peer.dropped} packets to it were dropped" if peer.dropped else ""
-        refused = f"; {peer.refused} of its samples were refused" if peer.refused else ""
+        lost = f"; {peer.dropped} packets to this client were dropped" if peer.dropped else ""
+        refused = f"; {peer.refused} samples from this client were refused" if peer.refused else ""
         self._report(f"{channel.name}: {peer.address}{why}{lost}{refused}.", warn=bool(reason))
 
     def _report(self, text: str, warn: bool = False) -> None:
@@ -402,7 +406,8 @@ class RowFeed:
     server : LabCommServer
         Server that publishes the rows.
     channels : mapping
-        Channel name by robot name. With each row of the first arm, a channel "fused" gets the newest rows of all arms.
+        Channel name by robot name. With each row of the first arm, a channel named "fused" receives the newest rows of
+        all arms.
     """
 
     def __init__(self, server: LabCommServer, channels: Mapping[str, str]) -> None:

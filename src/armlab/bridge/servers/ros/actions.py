@@ -147,7 +147,7 @@ def _tolerance(given: Iterable[_JointTolerance], robot: Robot, usual: Tolerance)
             raise UnknownName.among("joint", one.name[:80], robot.ros_joint_names)
         if one.acceleration > 0.0:
             raise CommandRefused(
-                "Expected no acceleration tolerance, because accelerations are not measured. Set it to 0."
+                "Expected no acceleration tolerance, because accelerations are not measured. Set the tolerance to 0."
             )
         i = robot.ros_joint_names.index(one.name)
         for row, value in zip(values, (one.position, one.velocity), strict=True):

@@ -108,7 +108,8 @@ def _tie(one: socket.socket) -> None:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, _LOOPBACK)
     except OSError as error:
         raise LinkError(
-            f"Expected DDS to be restricted to this computer, got {error.strerror}. This requires Linux 5.7 or newer; "
+            "Expected DDS to be restricted to this computer, got "
+            f"{error.strerror}. This restriction requires Linux 5.7 or newer; "
             "on other systems, use rosbridge or Zenoh."
         ) from error
 

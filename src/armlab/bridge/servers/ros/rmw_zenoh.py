@@ -96,7 +96,7 @@ class Origin(NamedTuple):
 
     @property
     def client(self) -> str:
-        """Complete writer id in hexadecimal, which is unique."""
+        """Complete, unique writer id in hexadecimal."""
         return self.writer.hex()
 
 
@@ -234,7 +234,7 @@ class RmwZenohServer(RosServer):
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Update the set of topics with readers; keep each for a while after a disconnection. Thread-safe."""
+        """Update the set of topics with readers; keep each topic for a while after a disconnection. Thread-safe."""
         now = time.monotonic()
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]

@@ -1,9 +1,9 @@
 """`ServiceServers`: ROS 2 service servers for Fast DDS and Cyclone DDS nodes, with a minimal RTPS implementation.
 
 rmw_fastrtps links a response to its request through the inline QoS of both (DDS-RPC, related_sample_identity), which
-cyclonedds can neither read nor write. rmw_cyclonedds links them through 16 bytes before the fields, so the bytes no
-longer match the type that cyclonedds checks. This participant has only request readers and response writers.
-Sources: OMG DDSI-RTPS 2.3, chapters 8 and 9; DDS-RPC 1.0, section 7.6.
+cyclonedds can neither read nor write. rmw_cyclonedds links the two through 16 bytes before the fields, so the bytes no
+longer match the type that cyclonedds checks. The RTPS participant of this module has only request readers and response
+writers. Sources: OMG DDSI-RTPS 2.3, chapters 8 and 9; DDS-RPC 1.0, section 7.6.
 """
 
 from __future__ import annotations
@@ -500,7 +500,8 @@ class ServiceServers:
             self._acknowledge(prefix + writer, reader, last)
 
     def _acknowledge(self, writer: bytes, reader: _Reader, last: int = 0) -> None:
-        """Send a remote writer the numbers of the missing messages, so it sends them or reports a gap."""
+        """Send a remote writer the numbers of the missing messages; the writer then sends these messages or reports a
+        gap."""
         held = [k for k in range(reader.next, min(last + 1, reader.next + _WINDOW)) if k not in reader.early]
         missing = [k for k in held if k not in reader.partial]
         ours = self._clients.get(writer, writer[12:15] + b"\xc7") + writer[12:]

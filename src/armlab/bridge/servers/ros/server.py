@@ -89,7 +89,7 @@ def _numbers(topic: str, content: Any, arms: Sequence[Robot]) -> list[float]:
 
 def _settings(topic: str, content: Any) -> dict[str, Any]:
     if not isinstance(content, str) or len(content) > _LONGEST:
-        raise CommandRefused(f"Expected a text of at most {_LONGEST} characters on {topic}.")
+        raise CommandRefused(f"Expected text of at most {_LONGEST} characters on {topic}.")
     try:
         values = json.loads(content)
     except (ValueError, RecursionError) as error:
@@ -123,7 +123,8 @@ class RosServer:
         self.latched: frozenset[str] = frozenset([*self._topics.latched, *actions.latched])
 
     def node_of(self, name: str) -> str:
-        """Return the node of a topic or service: the node of an arm if the name contains one, otherwise of the cell."""
+        """Return the node of a topic or service: the arm's node if the name contains an arm, otherwise the cell's
+        node."""
         first = name.split("/")[1]
         return first if first in self.nodes else self.nodes[0]
 
@@ -210,7 +211,7 @@ class RosServer:
         self.send(self._topics.latched.values())
 
     def send_parameters(self) -> None:
-        """Send all parameter values, and any diagnostics due without rows."""
+        """Send all parameter values, and any diagnostics that are due while no rows arrive."""
         self._parameters_sent, wanted = time.monotonic(), self.wanted()
         self.send(self._topics.of_parameters(self._loop.parameters, wanted))
         self.send(self._topics.of_silence(time.monotonic_ns(), wanted))

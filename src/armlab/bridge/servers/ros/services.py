@@ -148,7 +148,7 @@ class Settings:
         return refused is not None
 
     def tick(self, now_ns: int) -> None:
-        """Answer the settings for which the loop sent no timely answer."""
+        """Answer the settings that the loop did not answer in time."""
         with self._settling():
             for one in [one for one in self._waiting if now_ns > one.until_ns]:
                 known = {name: self._loop.parameters[name] for name in one.values}
@@ -302,7 +302,11 @@ class _ParameterServices:
         elif kind == _KINDS["int"] and np.isfinite(bounds).any():
             low, high = (int(np.clip(one, -(2**53), 2**53)) for one in bounds)
             integers = [_made("msg/IntegerRange", low, high, 1)]
-        who = "Any client may set it." if about["rights"] == "anyone" else "Only the commander of an arm may set it."
+        who = (
+            "Any client may set this parameter."
+            if about["rights"] == "anyone"
+            else "Only the commander of an arm may set this parameter."
+        )
         text = f"{about['text']}{unit}".strip()
         return _made("msg/ParameterDescriptor", name, kind, text, who, not about["live"], False, reals, integers)
 

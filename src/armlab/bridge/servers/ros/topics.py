@@ -62,7 +62,7 @@ def domain_number(given: int | None, environment: Mapping[str, str] = os.environ
     if given is not None:
         return given
     if not text.isdecimal() or int(text) > _HIGHEST:
-        raise ConfigError(f"Expected ROS_DOMAIN_ID from 0 to {_HIGHEST}, got {text!r}. Correct or unset it.")
+        raise ConfigError(f"Expected ROS_DOMAIN_ID from 0 to {_HIGHEST}, got {text!r}. Correct or unset the variable.")
     return int(text)
 
 
@@ -279,7 +279,8 @@ class Topics:
         self.published |= {name: topic for name, (topic, _) in self.latched.items()}
 
     def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[RosTopic, Any]]:
-        """Yield the wanted messages of a row: those of its freshly updated arms, then those due once per second."""
+        """Yield the wanted messages of a row: first those of the arms that the row updates, then those due once per
+        second."""
         _, mono_ns, wall_ns = read_head(self._schema, data)
         arms: dict[str, ArmRow] = {}
         for name, robot in self._robots.items():
@@ -298,7 +299,8 @@ class Topics:
         yield from self._once_a_second(mono_ns, 0, wanted)
 
     def of_silence(self, now_ns: int, wanted: Collection[str]) -> Messages:
-        """Return the once-per-second messages due without rows; none if a row has arrived since the last call."""
+        """Return the once-per-second messages that are due while no rows arrive; return no messages if a row has
+        arrived since the last call."""
         if self._silence is None or self._silence[0] is not self._last:
             self._silence = self._last, now_ns
             return ()

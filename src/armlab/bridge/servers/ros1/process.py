@@ -225,7 +225,8 @@ class Ros1Process(RosServer):
                 process.wait()
 
     def _begin(self) -> None:
-        """Send the node its topics, wait until it is ready, and report to the loop that the server is listening."""
+        """Send the topics to the node, wait until the node is ready, and report to the loop that the server is
+        listening."""
         kept = self._topics.latched  # in ROS 1, the description is a parameter of the master
         published = {name: _old(one.type) for name, one in self._topics.published.items() if name not in kept}
         taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
@@ -264,7 +265,7 @@ class Ros1Process(RosServer):
         return found
 
     def _receive(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Handle the given or new messages of the node: subscribers, commands and refused messages."""
+        """Handle messages from the node, given or newly received: subscribers, commands and refused messages."""
         for message in messages or self._messages():
             client = message.get("client", "")
             if message["kind"] == "subscriber":

@@ -145,13 +145,14 @@ def _type(name):
 
 
 def _listen_at(host, network):
-    """Make rospy listen at one address only; return "" or an error message."""
+    """Make rospy listen on only one address; return "" or an error message."""
     try:
         with contextlib.closing(socket.socket()) as probe:
             probe.bind((host, 0))
     except OSError as error:
         return (
-            f"Expected an address of this computer for ros1, got {host}: {error.strerror}. Pass one of its addresses."
+            f"Expected an address of this computer for ros1, got {host}: "
+            f"{error.strerror}. Pass one of this computer's addresses."
         )
     network.get_bind_address = lambda address=None: host
     return ""

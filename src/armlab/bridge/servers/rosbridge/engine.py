@@ -68,7 +68,7 @@ class Outbox:
         return found
 
     def is_stuck(self, now_ns: int) -> bool:
-        """Return whether messages are waiting, but the client has not read for 10 s."""
+        """Return whether the client has left waiting messages unread for 10 s."""
         return self._since_ns is not None and now_ns - self._since_ns > _PATIENCE
 
     def _drop(self, k: int) -> None:
@@ -87,7 +87,7 @@ _IDS = 16  # maximum number of ids per topic; a client with more ids is faulty
 
 
 class Subscription:
-    """Subscription of one client to one topic, at the highest rate requested by its ids."""
+    """Subscription of one client to one topic, at the highest rate requested by any of its subscription ids."""
 
     topic: str
     full_name: str
@@ -233,7 +233,7 @@ class Engine:
                 session.status("info" if text == "Done." else "error", text, now_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Handle timeouts and send messages due without rows; called ten times per second."""
+        """Handle timeouts and send messages that are due while no rows arrive; called ten times per second."""
         self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         self._goals.renew(now_ns)
         self._now_ns = now_ns

@@ -47,7 +47,7 @@ def fields(type_: str) -> tuple[str, ...]:
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
-    """Return the "publish" operation of a message as JSON; ROS 1 headers get `seq`, NaN and infinity become null."""
+    """Return the "publish" operation of a message as JSON; ROS 1 headers get `seq`; NaN and infinity become null."""
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 
 
@@ -322,7 +322,7 @@ class Rosapi:
 def _text(given: Arguments, name: str) -> str:
     found = given.get(name)
     if not isinstance(found, str):
-        raise CommandRefused(f"Expected {name!r} to be a text, got {str(found)[:80]!r}.")
+        raise CommandRefused(f"Expected {name!r} to be a string, got {str(found)[:80]!r}.")
     return found
 
 

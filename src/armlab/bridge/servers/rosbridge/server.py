@@ -43,7 +43,7 @@ class Access:
     origins: tuple[Any, ...]
 
     def judge(self, authorization: str | None) -> bool | None:
-        """Return whether a client with this header may command, or None to refuse the connection."""
+        """Return whether a client with this header may send commands, or None to refuse the connection."""
         if self.token is None:
             return True
         if authorization is None:
@@ -200,7 +200,7 @@ class RosbridgeServer:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"Expected at most {_CLIENTS} clients.\n")
         if self._may_ask(request) is None:
             return connection.respond(
-                HTTPStatus.UNAUTHORIZED, "Expected Authorization: Bearer with the correct token.\n"
+                HTTPStatus.UNAUTHORIZED, "Expected the header Authorization: Bearer with the correct token.\n"
             )
         return None
 

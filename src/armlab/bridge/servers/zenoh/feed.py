@@ -105,7 +105,8 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
         else:
             what = type(request).__name__
             raise ConfigError(
-                f"Expected a request that Zenoh supports, got {what}. Send it on the computer of the bridge."
+                f"Expected a request that Zenoh supports, got {what}. "
+                "Send the request from the computer that runs the bridge."
             )
 
     def receive(self) -> Row | dict[str, Any]:
@@ -126,7 +127,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
                 self._count(row, message)
                 return row
         if self._gone is not None:
-            raise LinkError(f"Expected the bridge of {self.cell} to keep running, but it is gone.")
+            raise LinkError(f"Expected the bridge of {self.cell} to keep running, but the bridge has disappeared.")
         seconds = f"{self._patience:g} s"
         raise LinkError(f"Expected a message from {self.cell} within {seconds}, got none. Check its robot.")
 
@@ -207,7 +208,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
             return
         self._is_unsure = False
         if reply.run == self._run:
-            self._report(f"The bridge of {self.cell} is back in the same run.")
+            self._report(f"The bridge of {self.cell} is reachable again, in the same run.")
             return
         self._run = reply.run
         self._take(*reply.messages)
@@ -353,7 +354,7 @@ class ZenohCodec(RowsAsPackets):
 
 
 def _check(schema: RowSchema, robot: Robot) -> None:
-    """Raise an error if the rows lack this arm or contain a different arm with the same name."""
+    """Raise an error if the rows do not contain this arm, or contain a different arm with the same name."""
     if robot.name not in schema.robots:
         raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
     schema.require(robot)

@@ -55,7 +55,7 @@ class Attachment(NamedTuple):
 
     @property
     def client(self) -> str:
-        """Complete sender id in hexadecimal, which is unique."""
+        """Complete, unique sender id in hexadecimal."""
         return self.sender.hex()
 
 
@@ -134,7 +134,7 @@ def read_about(data: bytes) -> About:
         schema.require(robot, whole=False)
     for field in schema.fields.values():  # `Watch` identifies the arms by these fields
         if field.type == "text" and field.name.removesuffix(".commander") not in robots:
-            raise LinkError(f"Expected the commander fields to be the only texts in rows, got {field.name[:60]}.")
+            raise LinkError(f"Expected the commander fields to be the only text fields in rows, got {field.name[:60]}.")
     return About([{**messages[0], "kind": "about"}, *messages[1:]], schema, robots, about.run, about.cell)
 
 

@@ -184,7 +184,7 @@ class _ArmOutput:
                 one.close()
 
     def row(self, data: bytes) -> None:
-        """Publish a row if it contains new data of this arm."""
+        """Publish a row if it contains new data from this arm."""
         self._count(data)
         if not any(data[self._fresh : self._fresh + 8]):
             return

@@ -10,10 +10,10 @@ from armlab.bridge.servers.zenoh.messages import EVERY, key
 from armlab.errors import ConfigError
 
 COMMANDER = "commander"
-"""Name of the user who may command and set parameters."""
+"""Name of the user who may send commands and set parameters."""
 
 BRIDGE = "bridge"
-"""User name of bridges; only this user may publish at a remote router."""
+"""User name of bridges; only this user may publish through a remote router."""
 
 USERS = (COMMANDER, BRIDGE, "viewer")
 """Names of all users; each has a password."""
@@ -35,7 +35,9 @@ class Security:
     def __post_init__(self) -> None:
         for path in (self.ca, self.certificate, self.key, self.users, self.secret):
             if path is not None and not _is_file(path):
-                raise ConfigError(f"Expected a file at {path}, found none. Create it with armlab bridge certificates.")
+                raise ConfigError(
+                    f"Expected a file at {path}, found none. Create the file with armlab bridge certificates."
+                )
         for path in (self.key, self.users, self.secret):
             if path is not None and path.stat().st_mode & 0o077:
                 raise ConfigError(f"Expected {path} to be readable only by its owner. Run chmod 600 {path}.")
@@ -59,7 +61,7 @@ class Security:
 
     @property
     def is_safe(self) -> bool:
-        """Whether the link is encrypted and users need passwords, so clients on other computers may command."""
+        """Whether the link is encrypted and users need passwords, so clients on other computers may send commands."""
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
@@ -106,7 +108,8 @@ def _lines(path: Path) -> list[tuple[str, str]]:
 
 
 def _rules() -> dict[str, Any]:
-    """Return the access rules: anyone may read, query and stop; only `COMMANDER` may command; only bridges publish."""
+    """Return the access rules: anyone may read, query and stop; only `COMMANDER` may send commands; only bridges
+    publish."""
     everything = "armlab/**"
     commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
     reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]

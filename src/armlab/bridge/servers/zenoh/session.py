@@ -96,7 +96,7 @@ def open_near(
 ) -> tuple[Any, str]:
     """Return a server session and its location as text; the session is a router unless the port already has one.
 
-    If another server's router uses the port, the session joins it and listens at a port chosen by the system. `router`
+    If another server's router uses the port, the session joins it and listens on a port chosen by the system. `router`
     is the "HOST:PORT" of a router on another computer.
     """
     safe = security or Security()
@@ -149,41 +149,46 @@ def _free_port(host: str) -> int:
             probe.bind((host, 0))
         except OSError as error:
             raise LinkError(
-                f"Expected an address of this computer to listen at, got {host} ({error.strerror})."
+                f"Expected an address of this computer to listen on, got {host} ({error.strerror})."
             ) from None
         return int(probe.getsockname()[1])
 
 
 def _check_router(router: str, is_open: bool) -> None:
-    """Raise an error if the configured router would let any client command."""
+    """Raise an error if the configured router would let any client send commands."""
     port = router.rpartition(":")[2]
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 2**16):
         raise ConfigError(f"Expected a router such as 192.168.1.9:7447, got {router!r}.")
     if is_open and not is_here(router):
         raise ConfigError(
             f"Expected certificates and users, because `commands` lists this server and its router {router} is on "
-            "another computer: any client of the router could command. Create them with armlab bridge certificates, "
+            "another computer: any client of the router could send "
+            "commands. Create both with "
+            "armlab bridge certificates, "
             "or remove the server from `commands`."
         )
     _check_router_here("", int(port), is_open)
 
 
 def _check_router_here(host: str, port: int, is_open: bool) -> None:
-    """Raise an error if a router at our port lets any client command, or does not listen at our address."""
+    """Raise an error if a router at our port lets any client send commands, or does not listen on our address."""
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
         except OSError:  # in use at every address or, on some systems, possibly at only one other address
             if is_open:
                 raise ConfigError(
-                    f"Expected no commands from other computers, but the Zenoh router at port {port} listens at every "
-                    "address of this computer, so any client could command. Let it listen only at 127.0.0.1, choose "
+                    "Expected no commands from other computers, but the Zenoh router at "
+                    f"port {port} listens on every address of this computer, so any "
+                    "client could send commands. Make the "
+                    "router listen only on 127.0.0.1, choose "
                     "another `port`, or create certificates and users with armlab bridge certificates."
                 ) from None
             return
     if host == _ANYWHERE:
         raise LinkError(
-            f"Expected TCP port {port} to be free at every address, but another router uses it only for this computer. "
+            f"Expected TCP port {port} to be free at every address, but another "
+            "router already uses the port for connections from this computer only. "
             "Choose another `port`, or give both servers the same --listen."
         )
 
