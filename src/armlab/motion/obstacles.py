@@ -124,7 +124,8 @@ class AvoidingDmp(Shown):
         if self.dmp.schedule == "position" or self.dmp.n not in wanted:
             raise ConfigError(
                 f"Expected a primitive of {' or '.join(map(str, wanted))} coordinates with a time-dependent phase, "
-                f"got {self.dmp.n} coordinates with schedule {self.dmp.schedule!r}. Pass the robot if these coordinates are joint "
+                f"got {self.dmp.n} coordinates with schedule {self.dmp.schedule!r}. Pass the robot if these "
+                "coordinates are joint "
                 "positions."
             )
         if self.robot is None and (self.tool is not None or self.links):

@@ -302,7 +302,8 @@ class Profile(Shown):
             raise ShapeError("Expected finite coefficients, got NaN or Inf. Use longer durations or lower rates.")
         if not breaks[-1] < dt * arguments.MAX_SAMPLES:
             raise ShapeError(
-                f"Expected fewer than {arguments.MAX_SAMPLES} samples, got a duration of {breaks[-1]:g} s at dt = {dt:g} s. "
+                f"Expected fewer than {arguments.MAX_SAMPLES} samples, got a duration of {breaks[-1]:g} s at dt = "
+                f"{dt:g} s. "
                 "Use a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])

@@ -396,7 +396,8 @@ def _check_poses(robot: Robot) -> None:
         if not fits:
             rows = "; ".join(" ".join(f"{x:.9g}" for x in row) for row in pose)
             raise RobotError(
-                f"Expected {field} of robot {robot.name!r} to be a pose whose rotation is orthonormal within {so3.ROTATION_TOLERANCE:g}, got [{rows}]. If it is nearly a rotation, project it first "
+                f"Expected {field} of robot {robot.name!r} to be a pose whose rotation is orthonormal within "
+                f"{so3.ROTATION_TOLERANCE:g}, got [{rows}]. If it is nearly a rotation, project it first "
                 "(lie.se3.project)."
             )
     if not np.isfinite(robot.gravity).all():
