@@ -81,7 +81,9 @@ def _recordings(recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
         yield verdict.equal(f"{name}: readable rows, of packets", one.rows, one.summary.get("packets", np.nan))
         yield verdict.equal(f"{name}: recordings finished", int(one.is_whole), 1)
         yield verdict.equal(f"{name}: rows dropped", one.summary.get("dropped", np.nan), 0)
-        ended = [text for text in one.events if "It restarts in" in text or "not restarted" in text]
+        ended = [
+            text for text in one.events if "The server restarts in" in text or "The server is not restarted" in text
+        ]
         yield verdict.equal(f"{name}: servers that exited", len(ended), 0)
 
 

@@ -226,7 +226,7 @@ def test_stop_is_for_everybody_and_resume_for_operators() -> None:
     assert bench.warnings == ["Stopped by web b. An operator can end the stop with armlab bridge resume."]
     assert bench.events[-1] == "labcomm a no longer commands yumi_left: all arms were stopped. The arm holds."
     assert bench(order()) is None
-    assert "All arms hold, because web b stopped them." in bench.answers[0][1]
+    assert "All arms hold their positions, because web b stopped them." in bench.answers[0][1]
     assert (bench.arbiter.stopped, bench.arbiter.commander("yumi_left")) == ("web b", "")
     bench.arbiter.submit(order())
     bench.arbiter.resume("local 1")
@@ -303,7 +303,7 @@ def test_a_trajectory_advances_by_the_time_between_packets_and_its_result_is_tol
     second.ending = "arrived"
     assert bench() is None
     assert bench.results[3:] == [("labcomm a", "2", "succeeded", "arrived", "")]
-    assert bench.events[-1] == "labcomm a no longer commands yumi_left: its trajectory has ended. The arm holds."
+    assert bench.events[-1] == "labcomm a no longer commands yumi_left: the trajectory has ended. The arm holds."
     bench(goal("2", motion=Motion(problem="The way is blocked.")))
     assert bench.results[4:] == [("labcomm a", "2", "aborted", "refused", "The way is blocked.")], "used again"
     assert bench.warnings == ["A trajectory of labcomm a was refused: The way is blocked."]
@@ -331,7 +331,7 @@ def test_goals_that_wait_are_replaced_by_newer_ones_and_cancelled_by_name() -> N
     ]
     for one in waiting:
         bench.arbiter.submit(one)
-    assert bench.results == [("labcomm a", "1", "aborted", "interrupted", "A newer command replaced it.")]
+    assert bench.results == [("labcomm a", "1", "aborted", "interrupted", "A newer command replaced this one.")]
     bench.arbiter.cancel("web x", "yumi_left", "")
     assert len(bench.results) == 1
     bench.arbiter.cancel("web x", "yumi_left", "2")
@@ -373,7 +373,7 @@ def test_a_waiting_trajectory_is_refused_once_the_arm_has_not_been_ready_for_a_l
     assert bench.results == []
     bench.now += round(1e9 * LEASE) + 1
     bench.arbiter.renew("labcomm a", "yumi_left", "1")
-    why = "yumi_left is not ready. Send the goal again when it is ready."
+    why = "yumi_left is not ready. Send the goal again when the arm is ready."
     assert bench.results == [("labcomm a", "1", "aborted", "refused", why)]
     assert bench() is None
 
@@ -382,7 +382,7 @@ def test_the_newest_64_results_are_kept() -> None:
     bench = Bench()
     for k in range(65):
         bench.arbiter.submit(goal(f"{k}", "ros a"))
-    for k, reason in ((1, "Expected no commands through ros"), (0, "The lease of the arm ended.")):
+    for k, reason in ((1, "Expected no commands through ros"), (0, "The lease on the arm expired.")):
         bench.arbiter.renew("ros a", "yumi_left", f"{k}")
         assert bench.results[-1][4].startswith(reason)
 

@@ -142,7 +142,7 @@ def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options
         (["egm://127.0.0.1:6510"] * 2, 2, {}, "a separate port for each arm"),
         (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "the same scheme"),
         (["egm://127.0.0.1:0"] * 2, 0, {}, "different names"),
-        ("egm://127.0.0.1:0", 3, {}, r"Expected a Robot, got 'yumi_left'\. Load it first"),
+        ("egm://127.0.0.1:0", 3, {}, r"Expected a Robot, got 'yumi_left'\. Load the robot first"),
         ("egm://127.0.0.1:0", 1, {"codec": 5}, r"wire\.egm\.Codec, got 5\."),
         ("egm://127.0.0.1:0", 1, {"codec": "egmri"}, "codec.*egmri.*egm"),
         ("egm://127.0.0.1:0", 1, {"codec": [EgmCodec(RIGHT)] * 2}, "one codec per arm"),

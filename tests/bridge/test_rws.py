@@ -170,7 +170,7 @@ def test_no_text_holds_the_password(tmp_path: Path, robotware: str, caplog: pyte
     caplog.set_level(logging.DEBUG)
     with rws_controller(tmp_path, robotware, ["password"]) as served:
         controller = open_controller(served.host, lambda: OURS, ca=str(served.ca or ""))
-        with pytest.raises(LinkError, match="user and password, but it refused them") as caught:
+        with pytest.raises(LinkError, match="user and password, but the controller refused them") as caught:
             controller.status()
     error: BaseException | None = caught.value
     texts = [caplog.text, repr(controller), repr(vars(controller))]

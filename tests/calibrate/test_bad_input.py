@@ -208,7 +208,7 @@ BROKEN = [
     (lambda: laser(A=gap(SCANS.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
     (lambda: laser(scans=gap(SCANS.scans)), "scans, got NaN or Inf in 1 rows: 3"),
     (lambda: eye(A=bent(EYE.A)), "rotations in T_base_tool, got matrices that deviate by up to .* in rows 5"),
-    (lambda: arm(pose=bent(TABLE.pose)), "rotations in pose, got matrices off by up to .* in rows 5"),
+    (lambda: arm(pose=bent(TABLE.pose)), "rotations in pose, got matrices that deviate by up to .* in rows 5"),
     (lambda: laser(start=np.diag([1.0, 1.0, -1.0, 1.0])), "rotations in start, got left-handed axes"),
     (lambda: eye(A=EYE.A[1:]), "equal numbers of robot and marker poses, got 29 and 30"),
     (lambda: eye(A=EYE.A[0]), r"T_base_tool of shape \(N, 4, 4\), got \(4, 4\)"),
@@ -286,15 +286,15 @@ REPORTED = [
     (lambda: force(y=WEIGHED.y * np.repeat([1.0, 50.0], 3), limits=(0.2, 0.3, 99.0)), "are torques in N mm"),
     (lambda: force(WEIGHED.RA[:5], WEIGHED.y[:5, :3], robust=True), "weakest: rotation about tool axis"),
     (lambda: force(R=WEIGHED.RA * (1.0 + 1e-6)), "60 rotations in T_base_tool deviated by up to"),
-    (lambda: eye(millimetres(EYE.A), millimetres(EYE.B)), "millimetres given as metres?"),
-    (lambda: points(millimetres(SEEN.A), 1e3 * SEEN.p, None), "millimetres given as metres?"),
+    (lambda: eye(millimetres(EYE.A), millimetres(EYE.B)), "were millimetres given as metres?"),
+    (lambda: points(millimetres(SEEN.A), 1e3 * SEEN.p, None), "were millimetres given as metres?"),
     (lambda: force(y=1e3 * WEIGHED.y), "are forces in a unit other than N?"),
     (lambda: force(gravity=[0.0, 0.0, -1.0]), "is it given in units of g?"),
     (lambda: force(y=-WEIGHED.y, gravity="unknown"), "mirrored axis with reversed weight would fit equally"),
     (lambda: force(ABOUT_X, weigh(ABOUT_X)[:, :3]), "handedness and sign of the sensor are undecided"),
     (lambda: acc(y=MOVED.y / 9.80665, scale=True), "are readings or gravity in a unit other than m/s^2?"),
     (lambda: arm(pose=MIRROR @ TABLE.pose @ MIRROR), "from its description: possible causes are a reversed joint"),
-    (lambda: laser(millimetres(SCANS.A), SCANS.scans * MM), "m: millimetres given as metres?"),
+    (lambda: laser(millimetres(SCANS.A), SCANS.scans * MM), "m: were millimetres given as metres?"),
 ]
 REFUSED = [*CHOICES, *MIRRORED, *UNEXCITED, *UNITS, *((case, NotConverged, words) for case, words in PAIRING)]
 REFUSED += [(case, ShapeError, words) for case, words in BROKEN]

@@ -69,7 +69,7 @@ NAMED = {
     "file": "ArmlabYumiL.mod has different content",
     "semantic": "load the module into T_ROB_L, but it failed",
     "device": "no 'armlab_l' among none. Add a device",
-    "address": "armlab_l sends to 192.0.2.7:6511. Set its Remote Address",
+    "address": "armlab_l sends to 192.0.2.7:6511. Set the Remote Address of the device",
     "interface": "no 'armlab' among none. Add External Motion Interface Data",
 }
 REPLACED = ["main", "module", "file"]
@@ -110,7 +110,7 @@ def test_status_and_doctor_name_causes(tmp_path: Path, command: Callable[..., An
         assert "6519, sender" in command(["doctor", "--port", "6519", "--rws", served.host], 1).out
         with monkeypatch.context() as wrong:
             wrong.setenv(PASSWORD, "other")
-            assert "but it refused them" in command(["doctor", "--rws", served.host], 1).out
+            assert "but the controller refused them" in command(["doctor", "--rws", served.host], 1).out
     with rws_controller(tmp_path) as served:
         assert "motors off" in command(["abb", "status", served.host], 3).out
 

@@ -86,7 +86,7 @@ def test_set(running: Hub, command) -> None:
         (["gain"], 2, "NAME=VALUE"),
         (["gain=-1"], 1, "from 0 to inf"),  # the bridge that runs knows its parameters, and refuses
         (["gan=1"], 1, "Did you mean 'gain'"),
-        (["gain=3", "word=4"], 1, "a text"),
+        (["gain=3", "word=4"], 1, "Expected text of at most"),
         (["word=99999999999999999999"], 2, "a 64-bit integer"),
     ],
 )
@@ -137,7 +137,7 @@ def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest
     path.write_text(CELL.replace("sim://yumi_left", "egm://127.0.0.1:0"))
     shown = command(["bridge", "--config", path], 1)
     assert "Ended: the bridge failed." in shown.out
-    assert "Rows to the server local: 0. To its clients: none." in shown.out
+    assert "Rows to the server local: 0. Rows from this server to its clients: none." in shown.out
     assert "ValueError: odd" in shown.err
 
 
@@ -162,7 +162,7 @@ def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert said.startswith("Ended: interrupted.\nyumi_left, RobotWare")
     assert re.search(r"Arrival to reply \[us\]: p50 (\d+|nan)", said)
     one = r"\d+( \(\d+ dropped\))?"  # what was on its way as a client left
-    assert re.search(rf"Rows to the server local: \d+\. To its clients: ({one} )*{one}\.", said)
+    assert re.search(rf"Rows to the server local: \d+\. Rows from this server to its clients: ({one} )*{one}\.", said)
     assert not socket_path("small").exists()
 
 

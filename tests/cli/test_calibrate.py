@@ -174,8 +174,8 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     assert judge(rough).bad == [
         "The noise of position [m] is 0.03, which is too large for a sensor. Some samples are probably wrong."
     ]
-    asked = replace(fit, doubts=("positions spread over 465 m: millimetres given as metres?",))
-    assert judge(asked).bad == ["Positions spread over 465 m: millimetres given as metres?"]
+    asked = replace(fit, doubts=("positions spread over 465 m: were millimetres given as metres?",))
+    assert judge(asked).bad == ["Positions spread over 465 m: were millimetres given as metres?"]
 
 
 NOISE = ["1e-4", "1.75e-4"]

@@ -106,7 +106,7 @@ def test_prior_and_point_reach_the_estimator(pushed: str, command) -> None:
     assert json.loads(command([*words, "--prior-force", "0.1"]).out)["contacts"][0]["force"][0] < 1.0
     known = json.loads(command([*words, "--point", "0", "0", "0"]).out)
     assert known["axes"][3]["two_sigma"] == pytest.approx(0.0, abs=1e-9)
-    assert "got one 120 m away. Pass metres" in command([*words, "--point", "0", "0", "120"], 2).err
+    assert "got a point 120 m away. Pass metres" in command([*words, "--point", "0", "0", "120"], 2).err
     assert "six positive" in command([*words, "--prior-force=-1"], 2).err
     assert main([*words, "--method", "kalman"]) == 2
     assert "method='kf' only" in command([*words, "--bias"], 2).err

@@ -140,8 +140,8 @@ view --live --package-path none | Expected --package-path with a folder, got non
 view | Expected at least one log to show, got none
 view --cell yumi run.mcap | Expected --cell yumi together with --live
 view --live --zenoh http://host | Expected an address such as zenoh://
-view --live --zenoh zenoh://host --cell a | Expected --cell of this computer or --zenoh
-view --fleet run.mcap | Expected at most --zenoh and --port with --fleet
+view --live --zenoh zenoh://host --cell a | Expected either --cell for a bridge on this computer or --zenoh
+view --fleet run.mcap | Expected only --zenoh and --port with --fleet
 demo --fast --robot irb1200 | no masses
 sim yumi_right --to 127.0.0.1:9 --rapid-data 1 | --rapid-data from 0 to 40
 sim yumi_right --to 127.0.0.1:9 --robotware 7 --rapid-data 41 | --rapid-data from 0 to 40

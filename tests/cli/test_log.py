@@ -272,12 +272,12 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, command) -> N
         recorder.event("Something else.", start)
         recorder.close({"parameters": {"gain": 3.0}})
     first, second, third, last = command(["log", "show", "--parameters", recorder.path]).out.splitlines()
-    assert first == "2023-11-14 22:13:20.000000 UTC  gain = 2.0, in force at the start"
+    assert first == "2023-11-14 22:13:20.000000 UTC  gain = 2.0, in effect at the start"
     assert second.endswith("A setting of local 1 was refused: too large.")
     assert third.endswith("gain = 3.0, set by local 1 (1)")
     assert last == "At the end: gain = 3.0."
     told = json.loads(command(["log", "show", "--parameters", "--json", recorder.path]).out)
     history = [(one["value"], one["who"]) for one in told["parameters"]]
-    assert history == [(2.0, "in force at the start"), (3.0, "local 1")]
+    assert history == [(2.0, "in effect at the start"), (3.0, "local 1")]
     assert told["parameters_at_end"] == {"gain": 3.0}
     assert told.items() <= json.loads(command(["log", "show", "--json", recorder.path]).out).items()

@@ -141,7 +141,7 @@ def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: p
         assert main(["record", "yumi_left", *words]) == 1
     said = capsys.readouterr().err
     assert "No packets received" not in said
-    assert said.count("The recording stopped: The log") == 1
+    assert said.count("The recording stopped: Recording to") == 1
     assert "No space left on device" in said
 
 

@@ -31,7 +31,7 @@ def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert main(["view", "--live", "--port", str(taken.getsockname()[1])]) == 1
-    assert "in use. Choose another with --port" in capsys.readouterr().err
+    assert "in use. Choose another port with --port" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -104,7 +104,7 @@ def test_progress_is_told_and_changes_nothing(truth, model, excited, method: str
     quiet = estimator.run(log)
     for name in quiet.names:
         assert np.array_equal(told[name], quiet[name], equal_nan=True)
-    assert heard[0] == (0, len(log), f"{method} of {len(log)} rows")
+    assert heard[0] == (0, len(log), f"{method} estimate of {len(log)} rows")
     assert heard[-1] == (len(log), len(log), "done")
     assert len(heard) > 50
 

@@ -240,7 +240,7 @@ def test_errors_are_those_against_the_truth_where_there_is_one(table: Table) -> 
     assert found.rms == pytest.approx(np.sqrt(np.mean(error**2, axis=0)))
     assert found.inside == pytest.approx(0.954, abs=0.015)
     rms = " ".join(f"{value:.2f}" for value in found.rms[:3])
-    assert found.text() == f"force x y z against the true wrench: {rms} N RMS, 95 % inside 2 sigma"
+    assert found.text() == f"force x y z against the true wrench: {rms} N RMS, 95 % within 2 sigma"
     assert not found.rms.flags.writeable
 
 

@@ -44,7 +44,7 @@ CASES: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     *((ShapeError, r"\.$", estimator(**{option: other}))
       for option in ("prior", "point") for other in ("here", [[1, 2], [3]], np.full(6, np.nan), [1.0])),
     (ShapeError, "120 m away", estimator(point=(0.0, 0.0, 120.0))),
-    (ShapeError, r"within \S+ m of the tool.*'ur5e', got one 120 m away.*millimetres by 1000",
+    (ShapeError, r"within \S+ m of the tool.*'ur5e', got a point 120 m away.*millimetres by 1000",
      lambda s: check_distance(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 120.0]]), UR5E)),
     (ShapeError, "to which the model belongs", lambda s: Estimator(s.model, YUMI).run(
         Table(s.log.t, {name: s.log[name][:, :6] for name in ("q", "qd", "tau")}))),
@@ -72,7 +72,7 @@ CASES: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "missing", lambda s: hypotheses(ERRORS.with_column("tau_error", ZERO + np.nan), YUMI)),
     (UnknownName, "wrench_true or wrench", lambda s: compare(COMPARED.without("wrench_true"))),
     (UnknownName, "wrench_hat_cov", lambda s: compare(COMPARED.without("wrench_hat_cov"))),
-    (UnknownName, "none among 5000", lambda s: compare(COMPARED.with_column("wrench_true", LOST))),
+    (UnknownName, "got no such row among 5000", lambda s: compare(COMPARED.with_column("wrench_true", LOST))),
 ]  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def test_logs_that_cannot_be_used_are_named_with_their_sentence(
     logs = shutil.copytree(folder, tmp_path / "logs")
     (logs / "torn.parquet").write_bytes(b"PAR1 and nothing else")
     log.write(short_arm.log(9, 1000).rows(slice(None, None, 2)), logs / "log0_slow.parquet")
-    wrong = {"torn": "torn.parquet", "log0_slow": "sampling rate of the first logs, 100 Hz, got 50 Hz"}
+    wrong = {"torn": "torn.parquet", "log0_slow": "sampling rate as in the first logs, 100 Hz, got 50 Hz"}
     for name in ("log0_copy", "z_copy"):  # among the first, and behind them
         shutil.copy(logs / "log0.parquet", logs / f"{name}.parquet")
         wrong[name] = f"it repeats the rows of {logs / 'log0.parquet'}"

@@ -33,7 +33,7 @@ def test_plane_of_a_normal_that_is_not_unit() -> None:
     plane = Plane.of([0.999918, 0.010683, -0.007026], [-0.44, 0.23, -2.6])
     assert np.linalg.norm(plane.n) == pytest.approx(1.0, abs=1e-15)
     assert plane.d == pytest.approx(plane.n @ [-0.44, 0.23, -2.6], abs=1e-15)
-    with pytest.raises(ShapeError, match=r"length 1, got an error of 2\.5e-07"):
+    with pytest.raises(ShapeError, match=r"length 1, got a length error of 2\.5e-07"):
         Plane(np.array([0.999918, 0.010683, -0.007026]), 0.0, np.zeros(3), np.eye(3)[1:])
 
 

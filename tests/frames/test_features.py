@@ -90,7 +90,7 @@ def test_upward_needs_a_side() -> None:
         fit_plane(sheet() - [0, 0, 2.0])
     assert caught.value.directions == ("side of the plane",)
     assert fit_plane(sheet() - [0, 0, 2.0], normal=[0, 0, 1]).value.n[2] > 0.99
-    with pytest.raises(ShapeError, match="hint within it"):
+    with pytest.raises(ShapeError, match="got a hint on neither side"):
         fit_plane(sheet(), toward=[0.1, 0, 2.0])
     with pytest.raises(ShapeError, match="got both"):
         fit_plane(sheet(), toward=[0.1, 0, 0], normal=[0, 0, 1])

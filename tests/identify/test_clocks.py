@@ -98,7 +98,7 @@ def test_jitter_and_lost_rows_leave_the_record(truth, excited) -> None:
     assert np.std(found.q - clean.q[: len(found.t)]) < 1e-4
     slope, expected = (one.filter(one.differentiate(one.qd), 10.0) for one in (found, clean))
     assert np.std(slope - expected[: len(slope)]) < 0.03 * np.std(expected)
-    assert "stamps jitter by 0.4 ms" in found.notes[0]
+    assert "timestamps jitter by 0.4 ms" in found.notes[0]
     assert "rows are lost (5" in found.notes[0]
 
 
@@ -206,13 +206,13 @@ def test_torques_as_they_should_be_raise_no_doubt(truth, massive, excited, short
 @pytest.mark.parametrize(("factors", "words"), [
     (dict.fromkeys([f"j{k}" for k in range(1, 8)], 0.08), r"0\.0\d+ .* required by these masses: currents in ampere\?"),
     *(({f"j{k}": 0.08}, rf"joint {k} reads 0\.0\d+ .* these masses require: currents in ampere") for k in (1, 4, 7)),
-    *(({f"j{k}": -1.0}, rf"joint {k}: the sign is reversed") for k in (1, 4, 7)),
+    *(({f"j{k}": -1.0}, rf"joint {k}: the torque sign is probably reversed") for k in (1, 4, 7)),
     (dict.fromkeys([f"j{k}" for k in range(1, 8)], 0.01), "possibly motor torques, gear ratio 100"),
-    ({"j2": -1.0, "j5": -1.0}, "joints 2, 5: the sign is reversed"),
+    ({"j2": -1.0, "j5": -1.0}, "joints 2, 5: the torque sign is probably reversed"),
 ])  # fmt: skip
 def test_torques_that_cannot_be_are_refused_by_joint(massive, excited, factors: dict[str, float], words: str) -> None:
     table = scaled(excited, **factors)
-    with pytest.raises(ShapeError, match=rf"torque on the joint side.*{words}.*--force"):
+    with pytest.raises(ShapeError, match=rf"joint-side torques.*{words}.*--force"):
         doubts(table, massive)
     assert any(words.split(" ")[0].split("\\")[0] in said for said in doubts(table, massive, force=True))
 
@@ -239,10 +239,10 @@ def test_joints_without_masses_are_compared_with_each_other(truth, excited, fact
 
 def test_a_forced_fit_carries_its_doubts(short_arm) -> None:
     table = scaled(short_arm.log(0, 1500), j2=-1.0)
-    with pytest.raises(ShapeError, match="joint 2: the sign is reversed"):
+    with pytest.raises(ShapeError, match="joint 2: the torque sign is probably reversed"):
         fit_dynamics(table, short_arm.robot)
     fit = fit_dynamics(table, short_arm.robot, force=True)
-    assert fit.doubts[0].startswith("joint 2: the sign is reversed")
+    assert fit.doubts[0].startswith("joint 2: the torque sign is probably reversed")
 
 
 # Presliding, position, joints at rest.

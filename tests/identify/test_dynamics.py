@@ -200,7 +200,7 @@ def test_the_model_keeps_the_covariance_of_all_parameters(short_fit, tmp_path) -
     assert np.all(viscous > 0)
     saved = models.load(models.save(model, tmp_path / "model.toml"))
     np.testing.assert_array_equal(saved.parameters.cov, known.cov)
-    with pytest.raises(ShapeError, match="parameters among those of"):
+    with pytest.raises(ShapeError, match="parameter columns that belong to"):
         replace(model, parameters=replace(known, columns=known.columns + 18 * model.n))
     with pytest.raises(ShapeError, match="finite numbers of their covariance"):
         replace(known, lower=known.lower[1:])

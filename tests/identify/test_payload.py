@@ -115,7 +115,7 @@ def test_a_load_on_another_link_is_doubted(truth, model, motion, table) -> None:
     links = truth.links.copy()
     links[3] += inertia.from_body(1.5, [0.0, 0.0, 0.0], np.zeros((3, 3)))
     (doubt,) = fit_payload(replace(truth, links=links).log(motion, seed=3), model, truth.robot).doubts
-    assert "a load elsewhere or a contact" in doubt
+    assert "a load elsewhere, or the log may contain a contact" in doubt
     assert fit_payload(table, model, truth.robot).good
 
 

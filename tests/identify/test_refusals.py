@@ -78,7 +78,7 @@ RECORD: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
      lambda s: identify.prepare(changed(s.log, put([7, 9], 0, np.nan), "tau"), YUMI)),
     (ShapeError, "derivative of q", lambda s: identify.prepare(changed(s.log, -1.0, "qd"), YUMI)),
     (ShapeError, "57.3 times", lambda s: identify.prepare(changed(s.log, DEGREES, "qd"), YUMI)),
-    (ShapeError, "Pass the recorded robot", lambda s: identify.prepare(without_joint(s.log), YUMI)),
+    (ShapeError, "Pass the robot that was recorded", lambda s: identify.prepare(without_joint(s.log), YUMI)),
     (ShapeError, r"Expected a Table.*log\.read", lambda s: identify.prepare("log.csv", YUMI)),
     (ShapeError, "Expected a Table", lambda s: identify.prepare(s.log["q"], YUMI)),
     (RobotError, r"robots\.load\('yumi_left'\)", lambda s: identify.prepare(s.log, "yumi_left")),
@@ -92,8 +92,8 @@ RECORD: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "Table", lambda s: identify.with_velocity(None)),
 ]  # fmt: skip
 MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
-    (ShapeError, "speed share", lambda s: OPTIONS["design"](speed=1.5)),
-    (RobotError, "Load it first", lambda s: identify.design_excitation("yumi_left")),
+    (ShapeError, "speed fraction", lambda s: OPTIONS["design"](speed=1.5)),
+    (RobotError, "Load the robot first", lambda s: identify.design_excitation("yumi_left")),
     (ShapeError, "at least 10 seconds", lambda s: OPTIONS["design"](seconds=np.nan)),
     *((ShapeError, "at least one harmonic", lambda s, wrong=wrong: OPTIONS["design"](**wrong))
       for wrong in ({"f0": 0.0}, {"harmonics": 2.5}, {"acceleration": -1.0}, {"rounds": -1})),
@@ -105,7 +105,7 @@ MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "above 0 s", lambda s: OPTIONS["dither"](seconds=0.0)),
     (ShapeError, "at least one motion", lambda s: identify.sequence([])),
     (ShapeError, "a list of motions, got NoneType", lambda s: identify.sequence(None)),
-    (ShapeError, "walk above 0", lambda s: identify.sequence([MOTION], walk=0.0)),
+    (ShapeError, "connecting duration above 0", lambda s: identify.sequence([MOTION], walk=0.0)),
     (ShapeError, r"rest at both ends, got 0\.\d+ rad/s",
      lambda s: excite.Trajectory.from_table(MOTION.table().between(0, 0.6))),
     (ShapeError, "without missing values",
@@ -124,7 +124,7 @@ MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
 MODELS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (UnknownName, "from 0 to 6", lambda s: dynamics.base_parameters(YUMI, joints=[1, 1])),
     (UnknownName, "from 0 to 6", lambda s: dynamics.base_parameters(YUMI, joints=["axis_1"])),
-    (RobotError, "Load it first", lambda s: dynamics.base_parameters("yumi_left")),
+    (RobotError, "Load the robot first", lambda s: dynamics.base_parameters("yumi_left")),
     (UnknownName, "method of identification", lambda s: identify.fit_dynamics(s.log, YUMI, method="median")),
     (ModelMismatchError, "earlier fit", lambda s: identify.fit_dynamics(s.log, YUMI, prior=s.model)),
     (ShapeError, "62.5 Hz, a quarter of the sampling rate", lambda s: identify.fit_dynamics(s.log, YUMI, cutoff=80.0)),

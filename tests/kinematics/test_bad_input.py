@@ -176,5 +176,7 @@ def test_nothing_or_words_for_numbers() -> None:
     with pytest.raises(ShapeError, match=r"out to be a tuple of 2 arrays"):
         kinematics.forward_jacobian(ROBOT, HOME, out=np.empty((4, 4)))  # type: ignore[arg-type]
     for function in (*OF_BATCHES.values(), *functions):
-        with pytest.raises(RobotError, match=r"^Expected a Robot, got 'yumi_left'\. Load it first: robots\.load"):
+        with pytest.raises(
+            RobotError, match=r"^Expected a Robot, got 'yumi_left'\. Load the robot first: robots\.load"
+        ):
             function("yumi_left", HOME)

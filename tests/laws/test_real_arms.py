@@ -164,7 +164,7 @@ def read_ur3(log_name: str) -> tuple[Robot, Table]:
 def test_ur3_is_named_as_reversed(log_name: str) -> None:
     """As published, its motor torques oppose the motion; negated, no sign is doubted."""
     robot, table = read_ur3(log_name)
-    with pytest.raises(ShapeError, match="joints 1, 2, 3, 4, 5, 6: the sign is reversed"):
+    with pytest.raises(ShapeError, match="joints 1, 2, 3, 4, 5, 6: the torque sign is probably reversed"):
         fit_dynamics(table, robot)
     fit = fit_dynamics(table.with_column("tau", -table["tau"]), robot)
     quality = fit.value.quality
@@ -254,7 +254,9 @@ def test_tx40_wrist_is_in_the_model(tx40, tx40_model) -> None:
 def test_tx40_torque_of_the_motors_is_told(tx40) -> None:
     robot, table, currents = tx40
     motors = table.with_column("tau", currents)
-    with pytest.raises(ShapeError, match="torque on the joint side in N m, got: joint 4: the sign is reversed"):
+    with pytest.raises(
+        ShapeError, match="joint-side torques in N m, got: joint 4: the torque sign is probably reversed"
+    ):
         fit_dynamics(motors.between(0.1, 5.8), robot)
     angles = couplings.joint_to_motor(robot, table["q"] - TX40_ZERO)
     with pytest.raises(ShapeError, match=r"joint_1 \(67\.\d+, limit 3\.14: degrees or motor side, gear ratio 32"):

@@ -213,7 +213,7 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     view._due = 0.0
     view.draw()
     said = view._arms["yumi_right"]._panel._words._html.content
-    for word in ("do not contain the motor state", "rate [Hz]", "clamps per joint", "estimate of the controller"):
+    for word in ("the packets contain no motor state", "rate [Hz]", "clamps per joint", "estimate of the controller"):
         assert word in said
     assert view._state._html.content.count("Cell small") == 1
 

@@ -75,7 +75,7 @@ def test_names_of_known_programs_are_recognised(preset, header, tmp_path) -> Non
     values = rows(len(header))
     values[:, 0] = np.arange(20)
     path = write(tmp_path / "log.csv", header, values)
-    with pytest.raises(LogError, match=f"Read these names with --columns {preset}"):
+    with pytest.raises(LogError, match=f"Read these column names with --columns {preset}"):
         log.read_arm(path, robots.load("ur5e"))
 
 

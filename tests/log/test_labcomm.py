@@ -165,8 +165,8 @@ def test_a_sample_that_is_declared_with_two_types(tmp_path: Path) -> None:
     for first, second, told in (
         (("int", 3), ("string", "a"), "numbers or strings in x, got both"),
         (("string", "4"), ("double", 1.5), "numbers or strings in x, got both"),
-        (("double", 7.5), ("double[3]", [1.0, 2.0, 3.0]), "arrays of 0 dimensions in x, got 1"),
-        (("double[2]", [1.0, 2.0]), ("double", 7.5), "arrays of 1 dimensions in x, got 0"),
+        (("double", 7.5), ("double[3]", [1.0, 2.0, 3.0]), "arrays with 0 dimensions in x, got 1"),
+        (("double[2]", [1.0, 2.0]), ("double", 7.5), "arrays with 1 dimensions in x, got 0"),
     ):
         with pytest.raises(LogError, match=rf"Expected samples .*run\.labcomm.*{told}"):
             read_labcomm(declared_twice(path, *first, *second), rate=1.0)

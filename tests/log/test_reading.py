@@ -146,7 +146,7 @@ def test_every_format_drops_rows_out_of_time_order_and_names_no_robot(tmp_path: 
     with pytest.warns(UserWarning, match=rf"2 rows dropped: their time does not increase \({first}\); raw=True keeps"):
         table = read(path)
     assert table["x"].tolist() == [1.0, 2.0, 5.0]
-    assert any(f"2 rows dropped: their time does not advance ({first})" in note for note in table.notes)
+    assert any(f"2 rows dropped: their time does not increase ({first})" in note for note in table.notes)
     whole = read(path, ["x"], raw=True)
     assert whole["x"].tolist() == DISORDER["x"]
     assert (np.diff(whole.t) > 0).all()

@@ -219,7 +219,7 @@ def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
     number = recorder._file._file.fileno()
     monkeypatch.setattr(recorder._file, "write", broken)
     until(lambda: recorder.failed, lambda: recorder.row(*rows(0)))
-    assert recorder.failed == f"The log {recorder.path} stopped."
+    assert recorder.failed == f"Recording to {recorder.path} stopped."
     recorder.close()
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(number)

@@ -69,7 +69,7 @@ def test_values_are_read_only_and_independent_of_the_callers_array() -> None:
         ({"dt": 1.0}, {}, "one value per row"),
         ({"q": [["a"], ["b"], ["c"]]}, {}, "Expected numbers"),
         ({}, {"q": Column()}, "only for columns with values"),
-        ({"t": [0.0, 1.0, 2.0]}, {"t": Column(unit="s")}, "column names other than t, which is the clock"),
+        ({"t": [0.0, 1.0, 2.0]}, {"t": Column(unit="s")}, "column names other than t, which is the table's clock"),
     ],
 )
 def test_wrong_columns_are_refused(values: dict, columns: dict, message: str) -> None:
@@ -389,7 +389,7 @@ def test_concatenation_keeps_the_gap_and_refuses_what_does_not_fit() -> None:
     assert by_hand.t[101] == pytest.approx(2.0)
     table = ramp()
     other = table.without("q").shifted(2.0)
-    wrong = {"begin after 1 s, got 0 s; use shifted": [table, table], "differences of table 2 in q": [table, other]}
+    wrong = {"begin after 1 s, got 0 s; use shifted": [table, table], "table 2 differs in q": [table, other]}
     for words, tables in {**wrong, "at least one": []}.items():
         with pytest.raises(ShapeError, match=words):
             concat(*tables)

@@ -151,7 +151,9 @@ def test_protobuf() -> None:
     definition = files.SerializeToString()
     stamp = numbers_in_protobuf("google.protobuf.Timestamp", definition)
     assert stamp(timestamp_pb2.Timestamp(seconds=3, nanos=4).SerializeToString()) == {"seconds": 3, "nanos": 4}
-    with pytest.raises(LogError, match=r"Expected a google\.protobuf\.Timestamp in protobuf, got: Error parsing"):
+    with pytest.raises(
+        LogError, match=r"Expected a protobuf message of type google\.protobuf\.Timestamp, got: Error parsing"
+    ):
         stamp(b"\x08")
     listed = struct_pb2.ListValue(values=[struct_pb2.Value(number_value=2.0), struct_pb2.Value(string_value="x")])
     found = numbers_in_protobuf("google.protobuf.ListValue", definition)(listed.SerializeToString())

@@ -212,7 +212,9 @@ def test_a_bag_of_ros_1(ros: Any, tmp_path: Path, lost: tuple[int, ...]) -> None
             if i in lost:
                 bag.write(connection, ns + 1, raw[:-i])
     if lost:
-        with pytest.warns(UserWarning, match=r"2 messages on /joint_states skipped: Expected a sensor_msgs/msg/JointS"):
+        with pytest.warns(
+            UserWarning, match=r"2 messages on /joint_states skipped: Expected a message of type sensor_msgs/msg/JointS"
+        ):
             table = log.read(path, robot="ur5e")
     else:
         table = log.read(path, robot="ur5e")

@@ -82,7 +82,7 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(table: Table, tmp_
         (table, "none/est.csv", None, LogError, "create"),
         (table, "est.mcap", None, ConfigError, "Pass robot="),
         (six, "six.mcap", yumi, ShapeError, r"q of shape \(2, 7\) for robot 'yumi_left' with 7 .* got \(2, 6\)"),
-        (six, "six.mcap", "irb120", RobotError, "Load it first"),
+        (six, "six.mcap", "irb120", RobotError, "Load the robot first"),
         ("six.csv", "six.mcap", yumi, ShapeError, "Expected a Table"),
         (large, "run.mcap", yumi, LogError, r"counts up to 2\^53 in 'id' for MCAP"),
         *((one, "run.h5", None, LogError, text) for one in odd),

@@ -59,10 +59,14 @@ FIELDS: list[tuple[Any, dict[str, Any], str]] = [
     (WARM, {"power": 0 * TWO}, "power > 0"),
     (WARM, {"time": np.nan * TWO}, "finite time"),
     (WARM, {"start": ONE}, "one number per joint"),
-    (MOTORS, {"inertia": TWO}, "finite inertia of shape .* of 1 coupled motors"),
+    (MOTORS, {"inertia": TWO}, "finite inertia of shape .* for 1 coupled motors"),
     (MOTORS, {"smooth_speed": 0 * ONE}, "smooth_speed > 0"),
-    (QUALITY, {"coverage": ONE}, r"coverage of one number per joint, got shape \(1,\)"),
-    (TRAINING, {"speed_share": np.ones((2, 4))}, r"speed_share of shape \(2, 12\) of the training, got shape \(2, 4\)"),
+    (QUALITY, {"coverage": ONE}, r"coverage with one number per joint, got shape \(1,\)"),
+    (
+        TRAINING,
+        {"speed_share": np.ones((2, 4))},
+        r"speed_share of shape \(2, 12\) for the training, got shape \(2, 4\)",
+    ),
     (TRAINING, {"q_max": np.array([1.0, np.nan])}, "finite q_max"),
     (TRAINING, {"rest_share": 1.5}, "rest share from 0 to 1"),
     (TRAINING, {"longest_rest": np.nan}, "duration of at least 0 s"),
@@ -117,8 +121,8 @@ CALLS: list[tuple[type[Exception], str, Callable[[], Any]]] = [
     (UnknownName, "eye_in_hand, eye_to_hand", lambda: HandEye("eye", POSE, POSE)),
     (FrameError, "T_tool_marker or T_base_cam, got T_tool_cam", lambda: HAND_EYE.T_tool_cam),
     (ModelMismatchError, "got 'irb120'", lambda: CORRECTION.check_robot(robots.load("irb120"))),
-    (RobotError, "Load it first", lambda: CORRECTION.check_robot("irb2400")),  # type: ignore[arg-type]
-    (RobotError, "Load it first", lambda: replace(CORRECTION, robot="irb2400")),  # type: ignore[arg-type]
+    (RobotError, "Load the robot first", lambda: CORRECTION.check_robot("irb2400")),  # type: ignore[arg-type]
+    (RobotError, "Load the robot first", lambda: replace(CORRECTION, robot="irb2400")),  # type: ignore[arg-type]
     (ShapeError, r"q of shape \(..., 6\)", lambda: CORRECTION.joints(np.zeros((4, 5)))),
     (ShapeError, "was fitted with L = 1", lambda: CORRECTION.joints(np.zeros((4, 6)))),
     (ConfigError, "file format, got float", lambda: kind_of(1.0)),

@@ -154,7 +154,8 @@ def test_a_new_goal_within_the_clearance_is_refused(space: Dmp) -> None:
     stepper = AvoidingDmp(space, [Capsule.sphere([0.25, 0.3, 0.1], 0.03)], 0.02, 0.1).stepper()
     free, taken = [0.6, 0.1, 0.1], [0.25, 0.26, 0.1]
     stepper.change_goal(free)
-    with pytest.raises(ShapeError, match=r"goal outside the clearance of every obstacle, got a distance of 0\.01"):
+    outside = r"goal to be outside the clearance of every obstacle, got a distance of 0\.01"
+    with pytest.raises(ShapeError, match=outside):
         stepper.change_goal(taken)
     with pytest.raises(ShapeError, match="3 coordinates"):
         stepper.change_goal([0.1])
@@ -213,7 +214,7 @@ def test_a_start_within_the_clearance_ends_the_run_with_the_reason(swing: Dmp) -
     controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), arm()
     controller.place([Capsule.sphere(kinematics.forward(ROBOT, ROBOT.q_home)[:3, 3])])
     assert yumi.packet(controller, PERIOD).ends
-    assert controller.reason.startswith("Expected the start outside the clearance")
+    assert controller.reason.startswith("Expected the start to be outside the clearance")
 
 
 def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(swing: Dmp) -> None:
@@ -221,6 +222,6 @@ def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(s
     yumi.packet(controller, PERIOD)
     new = swing.g + 0.1
     controller.place([Capsule.sphere(kinematics.forward(ROBOT, new)[:3, 3])])
-    with pytest.raises(ShapeError, match="Expected the goal outside the clearance"):
+    with pytest.raises(ShapeError, match="Expected the goal to be outside the clearance"):
         controller.goal = new
     np.testing.assert_array_equal(controller.goal, swing.g)

@@ -327,7 +327,7 @@ POSE_RUNS: list[Wrong] = [
     (ShapeError, "goal to be a pose", lambda: POSE.stepper().change_goal(np.eye(3))),
     (ConfigError, "base axes", lambda: replace(POSE, frame="goal").stepper().change_goal(np.eye(4))),
     (ConfigError, "rotate", lambda: pose(scaling="rotate").value.stepper().change_goal(POSES[15])),
-    (ShapeError, "a goal that yumi_right reaches", lambda: POSE.controller(ROBOT, goal=far())),
+    (ShapeError, "a goal that yumi_right can reach", lambda: POSE.controller(ROBOT, goal=far())),
 ]
 RHYTHMS_AND_DISTRIBUTIONS: list[Wrong] = [
     (ShapeError, "weights of shape", lambda: replace(WAVE, weights=np.zeros(3))),
@@ -340,7 +340,7 @@ RHYTHMS_AND_DISTRIBUTIONS: list[Wrong] = [
     (ShapeError, "neither", lambda: PROMP.condition(0.5)),
     (ShapeError, "got -1 s", lambda: PROMP.condition(-1.0, [0.0, 0.0])),
     (ShapeError, "from 0 to 0.5 s", lambda: PROMP.condition(1.0, [0.0, 0.0], duration=0.5)),
-    (ShapeError, "without variation between", lambda: replace(PROMP, cov=0 * PROMP.cov).condition(1.0, [9.0, 9.0])),
+    (ShapeError, "demonstrations do not vary", lambda: replace(PROMP, cov=0 * PROMP.cov).condition(1.0, [9.0, 9.0])),
     (ShapeError, "seed", lambda: PROMP.sample(U, -1, 2)),
     (ConfigError, "count", lambda: PROMP.sample(U, 0, 0)),
     (ShapeError, "mean weights", lambda: replace(PROMP, mean=np.zeros(3))),
@@ -348,8 +348,8 @@ RHYTHMS_AND_DISTRIBUTIONS: list[Wrong] = [
     (ShapeError, "widths (> 0|.standard deviations. above 0)", lambda: replace(PROMP, widths=0 * PROMP.widths)),
 ]
 OBSTACLES: list[Wrong] = [
-    (ShapeError, "goal outside the clearance", lambda: avoiding(SPACE, [NEAR]).rollout(U)),
-    (ShapeError, "start outside the clearance", lambda: avoiding(SPACE, [Capsule.sphere(SPACE.y0)]).stepper()),
+    (ShapeError, "goal to be outside the clearance", lambda: avoiding(SPACE, [NEAR]).rollout(U)),
+    (ShapeError, "start to be outside the clearance", lambda: avoiding(SPACE, [Capsule.sphere(SPACE.y0)]).stepper()),
     (ShapeError, "2 dimensions, got 3 dimensions at index 0", lambda: avoiding(DMP, [NEAR])),
     (ShapeError, "finite point", lambda: Capsule.sphere([0.0, np.nan, 0.0])),
     (ShapeError, "radius >= 0 m", lambda: Capsule.sphere([0.0, 0.0], -1.0)),
@@ -358,8 +358,8 @@ OBSTACLES: list[Wrong] = [
     (ConfigError, "of 7 coordinates", lambda: avoiding(SPACE, robot=ROBOT)),
     (ConfigError, "links from 1 to 7, got 8", lambda: avoiding(SEVEN, robot=ROBOT, links={8: NEAR})),
     (ConfigError, "in joint space", lambda: avoiding(SPACE).controller()),
-    (ConfigError, "only with a robot", lambda: avoiding(DMP, [BALL], tool=BALL)),
-    (ConfigError, "only with a robot", lambda: avoiding(DMP, [BALL], links={1: BALL})),
+    (ConfigError, "a robot for the capsules of the tool and links", lambda: avoiding(DMP, [BALL], tool=BALL)),
+    (ConfigError, "a robot for the capsules of the tool and links", lambda: avoiding(DMP, [BALL], links={1: BALL})),
     (UnknownName, "form", lambda: avoiding(SPACE, form="wall")),
     *((ArmlabError, "(obstacles|capsules)", lambda x=x: avoiding(DMP, x)) for x in (BALL, ["ball"], None, [None])),
     *((ArmlabError, "capsules", lambda x=x: avoiding(DMP).stepper().place(x)) for x in (BALL, ["ball"], None, [None])),

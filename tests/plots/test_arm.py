@@ -126,7 +126,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         (lambda: robot(arm, [[0] * 6, [0, 0, np.nan, 0, 0, 0]]), ShapeError, "finite q"),
         (lambda: robot(arm, ax=flat), ShapeError, "3d"),
         (lambda: robot(arm, "home"), ShapeError, "q to be real numbers, got 'home'"),
-        (lambda: robot("irb2400"), RobotError, r"Load it first: robots.load\('irb2400'\)"),
+        (lambda: robot("irb2400"), RobotError, r"Load the robot first: robots.load\('irb2400'\)"),
         (lambda: workspace(slide), RobotError, "joint_1 of slide"),
         (lambda: workspace(arm, points=5, ax=[flat] * 3), ShapeError, "3d"),
         (lambda: workspace(arm, points=0), ShapeError, "points=0"),

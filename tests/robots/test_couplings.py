@@ -73,7 +73,7 @@ def test_what_does_not_fit_is_refused(yumi: Robot, name: str) -> None:
             convert(yumi, values)
     with pytest.raises(ShapeError, match=r"Expected values of shape \(\.\.\., 7\) for robot 'yumi_left', got \(6,\)\."):
         convert(yumi, np.zeros(6))
-    with pytest.raises(RobotError, match=r"Expected a Robot, got 'irb120'\. Load it first"):
+    with pytest.raises(RobotError, match=r"Expected a Robot, got 'irb120'\. Load the robot first"):
         convert("irb120", np.zeros(6))
 
 

@@ -66,7 +66,7 @@ def test_frames_hold_mount_and_tool(yumi: Robot) -> None:
     for T, sentence in (
         (2 * ONE, "to be a pose"),
         (np.diag([-1.0, 1, 1, 1]), "to be a pose"),  # a mirror
-        (ONE + 2e-5 * np.eye(4, k=1), "orthonormal to 1e-05.*project it first"),
+        (ONE + 2e-5 * np.eye(4, k=1), "orthonormal within 1e-05.*project it first"),
         (ONE * [1, 1, 1, np.nan], "NaN|be a pose"),
         (np.eye(3), r"to have shape \(4, 4\), got \(3, 3\)"),
         ("up", "to be real numbers, got 'up'"),
@@ -298,7 +298,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     ),
     "a matrix of angles": (
         lambda: robots.from_dh("r", np.zeros((2, 2)), 0, 0), RobotError,
-        r"Expected alpha in the DH table of 'r' as one column \(n,\), got shape \(2, 2\)\.",
+        r"Expected alpha in the DH table of 'r' to be one column \(n,\), got shape \(2, 2\)\.",
     ),
     "columns of two lengths": (lambda: robots.from_dh("r", 0, [1, 2], [1, 2, 3]), RobotError, "equal length"),
     "screws of five": (lambda: robots.from_poe("r", np.ones((2, 5)), ONE), RobotError, r"screws of shape \(n, 6\)"),
@@ -309,7 +309,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     "no source": (lambda: two(source=None), RobotError, "Expected text in source of robot 'r', got None"),
     "nine inertial numbers": (lambda: two(inertias=np.zeros((2, 9))), RobotError, r"shape \(2, 10\), got \(2, 9\)"),
     "no names": (lambda: two(joint_names=None), RobotError, "Expected joint_names of robot 'r' to be a list or tuple"),
-    "axes that are no counts": (lambda: two(abb_axes=[1.0, 2.0]), RobotError, r"as integers, got \[1\.0, 2\.0\]"),
+    "axes that are no counts": (lambda: two(abb_axes=[1.0, 2.0]), RobotError, r"to be integers, got \[1\.0, 2\.0\]"),
     "meshes not by link": (lambda: two(meshes=[1, 2, 3]), RobotError, "Expected meshes of one link of robot 'r'"),
     "half a flag": (lambda: robots.from_links("r", LINKS, [1, 0.5]), RobotError, "Expected Booleans in prismatic"),
     "a convention by name": (
@@ -319,11 +319,11 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     "33 joints": (lambda: robots.from_dh("r", 0, np.ones(33), 0), RobotError, "Expected at most 32 joints for robot"),
     "one scale": (
         lambda: robots.Mesh("visual", "a.stl", ONE, 2.0), RobotError,  # type: ignore[arg-type]
-        "Expected 3 finite, non-zero scale factors of mesh 'a.stl'",
+        "Expected 3 finite, non-zero scale factors for mesh 'a.stl'",
     ),
     "a name for a robot": (
         lambda: robots.to_local_poe("irb120"), RobotError,  # type: ignore[arg-type]
-        r"Expected a Robot, got 'irb120'\. Load it first: robots\.load\('irb120'\)\.",
+        r"Expected a Robot, got 'irb120'\. Load the robot first: robots\.load\('irb120'\)\.",
     ),
     "nothing to save": (lambda: robots.save(None, "r.toml"), RobotError, "Expected a Robot, got None"),  # type: ignore[arg-type]
     "nowhere to save": (lambda: robots.save(two(), None), RobotError, "Expected a file path"),  # type: ignore[arg-type]
@@ -350,11 +350,11 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
         lambda key=key, value=value: replace(MESH, **{key: value}),
         RobotError, words,
     ) for key, value, words in (
-        ("kind", "picture", 'Expected "visual" or "collision" as kind of mesh .* got \'picture\''),
+        ("kind", "picture", 'Expected "visual" or "collision" as the kind of mesh .* got \'picture\''),
         ("file", "", "Expected the file name of a mesh, got \'\'"),
         ("file", 5, "Expected the file name of a mesh, got 5"),
-        ("T_link_mesh", 2 * ONE, r"Expected a pose \(4, 4\) of mesh"),
-        ("scale", (1, 0, 1), "Expected 3 finite, non-zero scale factors of mesh"),
+        ("T_link_mesh", 2 * ONE, r"Expected a pose \(4, 4\) for mesh"),
+        ("scale", (1, 0, 1), "Expected 3 finite, non-zero scale factors for mesh"),
         ("scale", "one", "Expected scale of mesh .* to be real numbers, got \'one\'"),
     )},
     **{words: (lambda wrong=wrong: two(**(LIMITS | wrong)), RobotError, words) for wrong, words in (
@@ -368,7 +368,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
         ({"meshes": [[MESH], []]}, "Expected meshes of the mount and 2 links in robot 'r', got 2 tuples"),
         ({"gravity": [0, 0, np.inf]}, "Expected finite gravity"),
         ({"gravity": [0, 0, np.nan]}, r"Expected numbers in gravity of robot 'r', got NaN at index \(2,\)\."),
-        ({"joint_names": ["a"]}, r"Expected 2 different joint_names of robot 'r', got \['a'\]\."),
+        ({"joint_names": ["a"]}, r"Expected 2 different joint_names for robot 'r', got \['a'\]\."),
         ({"abb_axes": [1, 3]}, r"Expected abb_axes of robot 'r' to contain 1 to 2 exactly once each, got \[1, 3\]\."),
         ({"side": "up"}, 'to be "left", "right" or "", got \'up\'.'),
         ({"qd_max": [1.0, 2.0, 3.0]}, r"qd_max of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)"),

@@ -170,7 +170,7 @@ class Arbiter:
         else:
             _, before = self._inbox.get((order.arm, order.client), (0, None))
             self._inbox[order.arm, order.client] = (now, order)
-            self._end(before, "aborted", "interrupted", "A newer command replaced it.")
+            self._end(before, "aborted", "interrupted", "A newer command replaced this one.")
         if why:
             self._refuse(order, why, now)
 

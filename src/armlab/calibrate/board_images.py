@@ -173,7 +173,7 @@ def board_poses(
     ConfigError : an invalid board specification.
     ShapeError : images of a wrong type or of different sizes.
     NotExcited : too few images with a board (the message states the reasons), or images that do not determine the
-    intrinsics.
+        intrinsics.
 
     References
     ----------
@@ -295,8 +295,7 @@ def fit_hand_eye_images(
     if ratio > 1.0:
         notes.append(
             f"Pose residuals are {np.sqrt(ratio):.2g} times as large "
-            "as the corner errors explain; standard deviations are "
-            "scaled by this factor."
+            "as the corner errors explain; standard deviations are scaled by this factor."
         )
     D, S, sd = seen.sensitivity[seen.valid][keep], np.zeros((12, d)), np.sqrt(np.diag(seen.intrinsics_cov))
     for k in range(d):

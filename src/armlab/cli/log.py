@@ -203,7 +203,8 @@ def cut(
         from_: Start [s], as shown by armlab log show and in figures; default: the beginning.
         to: End [s]; default: the end.
         robot: Robot to select from a recording of several robots; default for .mcap: all. For other formats, see armlab
-        log export. output: The new file: .mcap for a recording, or an extension supported by armlab log export.
+            log export.
+        output: The new file: .mcap for a recording, or an extension supported by armlab log export.
     """
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign

@@ -136,9 +136,10 @@ class RwsOptions:
         rws: TCP port on 127.0.0.1 for Robot Web Services: RWS 1.0 for RobotWare 6, 2.0 over TLS for RobotWare 7; 0
             selects a free port. The controller then starts with motors off and no program, and sends packets once RAPID
             runs. The user name and password are read from ARMLAB_RWS_USER and ARMLAB_RWS_PASSWORD; default: ABB's
-            "Default User" and "robotics". rws_fault: Faults of the controller, separated by commas: version, password,
-            option, manual, emergency-stop, guard-stop, motors, mastership, busy, main, module, file, semantic, device,
-            address, interface.
+            "Default User" and "robotics".
+        rws_fault: Faults of the controller, separated by commas: version, password, option, manual,
+            emergency-stop, guard-stop, motors, mastership, busy, main, module, file, semantic, device, address,
+            interface.
     """
 
     rws: int | None = None

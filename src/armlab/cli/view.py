@@ -75,9 +75,8 @@ def view(
         return
     if cell and zenoh:
         raise ConfigError(
-            "Expected either --cell for a bridge on this computer or "
-            f"--zenoh, got both, {cell} and "
-            f"{zenoh}. Omit one of these options."
+            "Expected either --cell for a bridge on this computer or --zenoh, "
+            f"got both, {cell} and {zenoh}. Omit one of these options."
         )
     if len(what) > 1:
         raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Omit the names to see all arms.")

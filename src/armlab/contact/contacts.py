@@ -125,7 +125,7 @@ def hypotheses(
     table : log with q, qd, tau_error and tau_variance (N, n), from `Estimator.run` with a static method.
     robot : the arm.
     point : (3,) contact point of the hypothesis "point", tool axes [m]; default: the tool point, unless a segment is
-    given.
+        given.
     segment : (M, 3) vertices of a polyline on the tool, tool axes [m]; default: no segment hypothesis.
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; default: 20 N and 2 N m.
     window : window length [s]; contacts shorter than a window are averaged with free motion.

@@ -80,7 +80,7 @@ class Excitation(Shown):
         A : (m, p) whitened design matrix, or its triangle R (p, p).
         names : names of the p parameters.
         max_condition : largest ratio of the largest singular value to a singular value that still counts towards the
-        rank.
+            rank.
         """
         A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():

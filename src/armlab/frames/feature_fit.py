@@ -94,8 +94,7 @@ def upward(
     if not abs(side) > least:
         raise ShapeError(
             f"Expected a hint that determines the side of the {what}, "
-            "got a hint on neither side. Pass a different point or "
-            "normal."
+            "got a hint on neither side. Pass a different point or normal."
         )
     return n if side > 0 else -n
 

@@ -90,9 +90,8 @@ class Clock:
         said = []
         if self.retimed:
             said.append(
-                f"timestamps jitter by {1e3 * self.jitter:.2g} "
-                f"ms and drift by {1e3 * self.drift:.2g} "
-                f"ms: the rows are retimed to a uniform period of {1e3 * self.period:.4g} ms"
+                f"timestamps jitter by {1e3 * self.jitter:.2g} ms and drift by {1e3 * self.drift:.2g} ms: "
+                f"the rows are retimed to a uniform period of {1e3 * self.period:.4g} ms"
             )
         if self.lost:
             share = 100 * self.lost / (self.lost + len(self.t))

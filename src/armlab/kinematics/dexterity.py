@@ -189,7 +189,7 @@ class SelfMotion(Shown):
     s : (N,) arc length [rad; m for prismatic joints].
     position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
     rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. For the task "axis", rotation of the
-    z axis only; for "position", 0.
+        z axis only; for "position", 0.
     end : reason for the end: "length" (full length reached), "limit of joint k", "optimum" or "singular".
     """
 

@@ -36,10 +36,12 @@ class IkPath:
     position_error : (N,) distance from tool point to goal [m]; NaN for the task "direction".
     rotation_error : (N,) angle between the tool or its axis and the goal [rad]; NaN for the task "position".
     reason : (N,) "solved", or the reason why the path breaks at this row. If the errors are within the tolerance, the
-        path continues from `q`; otherwise, `q` is the posture with the smallest error. "out of reach": the distance
-        from the first joint to the pose exceeds the total length of the links; "limits": a joint is at its limit;
-        "singular": no joint reduces the error; "jump": the pose is reached on this branch, but the step from the
-        previous row exceeds `max_step`; "iterations": the error was still falling at the iteration limit.
+        path continues from `q`; otherwise, `q` is the posture with the smallest error.
+        "out of reach": the distance from the first joint to the pose exceeds the total length of the links;
+        "limits": a joint is at its limit;
+        "singular": no joint reduces the error;
+        "jump": the pose is reached on this branch, but the step from the previous row exceeds `max_step`;
+        "iterations": the error was still falling at the iteration limit.
     branch_changes : (k,) indices of the rows at which the path breaks and continues on a different branch.
     iterations : (N,) number of descent iterations.
     """

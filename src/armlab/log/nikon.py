@@ -151,7 +151,7 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
     Raises
     ------
     LogError : the file is not a MAT file, is corrupt, or does not contain exactly one 4x4 array. Also raised if the
-    array is not a pose, or if its rotation block is off by more than 1e-5 without `project`.
+        array is not a pose, or if its rotation block is off by more than 1e-5 without `project`.
     UnknownName : the variable does not exist.
     MissingExtra : the file has version 7.3, and h5py is not installed.
     """

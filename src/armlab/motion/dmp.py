@@ -183,7 +183,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         Parameters
         ----------
         goal_forcing : effect of a goal change on the forcing: "shift" leaves the forcing unchanged, "scale" scales the
-        forcing with the displacement. Default: "scale" with scaling "goal", otherwise "shift".
+            forcing with the displacement. Default: "scale" with scaling "goal", otherwise "shift".
         goal_rate : product of tau_d and the rate of a first-order goal filter; 0: no filter.
         brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a goal change, where a is 1.05 times the
             peak acceleration of the demonstration.

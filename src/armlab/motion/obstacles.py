@@ -87,7 +87,7 @@ class AvoidingDmp(Shown):
     Attributes
     ----------
     dmp : primitive, or the result of `fit_dmp`, with a time-based phase. Its coordinates are two or three positions
-    [m], or the joints of `robot`.
+        [m], or the joints of `robot`.
     obstacles : obstacles in the coordinates of the motion, or in base axes for a robot.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].
@@ -125,8 +125,7 @@ class AvoidingDmp(Shown):
             raise ConfigError(
                 f"Expected a primitive of {' or '.join(map(str, wanted))} coordinates with a time-dependent phase, "
                 f"got {self.dmp.n} coordinates with schedule {self.dmp.schedule!r}. Pass the robot if these "
-                "coordinates are joint "
-                "positions."
+                "coordinates are joint positions."
             )
         if self.robot is None and (self.tool is not None or self.links):
             raise ConfigError("Expected a robot for the capsules of the tool and links, got no robot. Pass robot=...")

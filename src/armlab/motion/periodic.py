@@ -335,7 +335,7 @@ def fit_periodic_dmp(
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
     g : (n,) baseline; default: the mean of the samples. The kernels compensate for a baseline that differs from the
-    mean.
+        mean.
     alpha_z : constant of the critically damped spring.
     ridge : penalty on the squared weights.
 
@@ -355,8 +355,7 @@ def fit_periodic_dmp(
     if len(demos) > 1:
         raise ShapeError(
             f"Expected one demonstration, got {len(demos)} demonstrations "
-            "with different initial phases. Fit a single recording "
-            "of many periods."
+            "with different initial phases. Fit a single recording of many periods."
         )
     demo = demos[0]
     seconds, penalty = (

@@ -468,7 +468,7 @@ def fit_pose_dmp(
     Raises
     ------
     ShapeError : invalid poses, NaN (with row numbers), times that do not increase, an orientation more than 3 rad from
-    the last orientation.
+        the last orientation.
     UnknownName : unknown options.
     ConfigError : schedule "position".
     NotConverged : Gauss-Newton did not converge.

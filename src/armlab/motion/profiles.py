@@ -303,8 +303,7 @@ class Profile(Shown):
         if not breaks[-1] < dt * arguments.MAX_SAMPLES:
             raise ShapeError(
                 f"Expected fewer than {arguments.MAX_SAMPLES} samples, got a duration of {breaks[-1]:g} s at dt = "
-                f"{dt:g} s. "
-                "Use a longer dt."
+                f"{dt:g} s. Use a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
         names = ("breaks", "coefficients", "t", "q", "qd", "qdd")

@@ -317,8 +317,7 @@ class TrajectoryController:
                 "refused",
                 f"Expected speeds up to {self._qd_max[i]:.4g} for {names[i]}, got {speed[i]:.4g} to reach the first "
                 f"point, which is {off[i]:.4g} away, in {h:.3f} s. Begin at the position of the arm, or give the "
-                "first "
-                "point a later time.",
+                "first point a later time.",
             )
         return ""
 

@@ -98,7 +98,7 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Foll
     held = bench(q=bench.q + 0.5)
     assert not bench.machine.calls
     assert np.abs(held.q - before.q).max() < 0.2 * T
-    assert "no faster than the arm can" in bench.feed.warnings[0]
+    assert "to change no faster than the arm can move" in bench.feed.warnings[0]
     bench(Command(qd=np.zeros(7)))
     assert (bench.machine.mode, bench.machine.calls) == (Mode.RUNNING, True)
     for k in range(int(STOP_AFTER)):
@@ -195,11 +195,11 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     readiness = Readiness()
     for fields in ({}, {"motors": None}, {"mci": None}, {}, {"motors": None, "mci": None}, {"motors": None}):
         assert readiness.not_ready_reason(packet(packets, **fields)) == ""
-    assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None))
+    assert "the packets contain no motor state" in readiness.not_ready_reason(packet(packets, motors=None))
     assert readiness.not_ready_reason(packet(packets)) == ""
     assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
     readiness.begin()  # of a new session nothing is known
-    assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None))
+    assert "the packets contain no motor state" in readiness.not_ready_reason(packet(packets, motors=None))
 
 
 def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Follower) -> None:

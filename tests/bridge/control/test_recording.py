@@ -169,9 +169,10 @@ def test_who_was_served() -> None:
         "servers": servers, "commands": commands, "commands_refused": {"local 1": 3}, "parameters": {"gain": 2.0},
     }  # fmt: skip
     assert served(counted) == [
-        "Rows to the server labcomm: 9 (2 lost). To its clients: left 127.0.0.1:7 8, fused 127.0.0.1:8 5 (4 dropped).",
-        "Rows to the server local: 9. To its clients: none.",
-        "Rows to the server other: 1. To its clients: unknown (the server did not answer).",
+        "Rows to the server labcomm: 9 (2 lost). Rows from this server to its clients: left 127.0.0.1:7 8, "
+        "fused 127.0.0.1:8 5 (4 dropped).",
+        "Rows to the server local: 9. Rows from this server to its clients: none.",
+        "Rows to the server other: 1. Rows from this server to its clients: unknown (the server did not answer).",
         "Commands to yumi_left: labcomm 127.0.0.1:7 6.",
         "Commands to yumi_right: none.",
         "Refused client commands: local 1 3.",

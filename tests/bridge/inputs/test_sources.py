@@ -319,7 +319,7 @@ def test_values_come_into_force_between_ticks_in_the_order_of_their_setters() ->
         ("count", 2.5, "whole number"),
         ("count", 6, "from 0 to 5"),
         ("gentle", 1, "true or false"),
-        ("label", 1, "a text"),
+        ("label", 1, "Expected text of at most 1000 characters"),
         ("label", "x" * 1001, "at most 1000"),
         ("force", [1.0, 2.0], "3 finite numbers"),
         ("force", [1.0, 2.0, math.inf], "3 finite numbers"),

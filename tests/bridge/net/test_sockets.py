@@ -244,4 +244,7 @@ def test_a_recording_keeps_what_waited(robot: Robot) -> None:
         recording.catch_up()
     recording.close({})
     assert 8 <= len(recording.events) <= 10
-    assert recording.events[-1] == (stamps[0], "The robot is ready and holds. (124 similar events skipped.)")
+    assert recording.events[-1] == (
+        stamps[0],
+        "The robot is ready and holds its position. (124 similar events skipped.)",
+    )

@@ -230,7 +230,7 @@ def test_the_summary_of_a_run(cell: Cell) -> None:
     assert "Parameter gain = 4.0" in cell.told[-1]
     assert kept == [
         (0, "gain", 2.0, "in effect at the start"),
-        (0, "open", 1.0, "in force at the start"),
+        (0, "open", 1.0, "in effect at the start"),
         (1, "gain", 4.0, f"{OPERATOR} 1"),
     ]
     assert not cell.params.running

@@ -67,10 +67,13 @@ def test_a_server_that_fails_is_left_dead() -> None:
             exchange.event("Now.")
             until(lambda ends=ends: len(told) > ends)
         assert servers.dead == {"a"}
-    assert told[-1] == "The server a ended with status 3. It is not restarted; the loop continues. Its output: no luck"
+    says = "The server a ended with status 3. The server is not restarted; the loop continues. Its output: no luck"
+    assert told[-1] == says
 
 
-@pytest.mark.parametrize(("well", "outcome"), [(0.0, "It restarts in 0.01 s."), (1e6, "It is not restarted")])
+@pytest.mark.parametrize(
+    ("well", "outcome"), [(0.0, "The server restarts in 0.01 s."), (1e6, "The server is not restarted")]
+)
 def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
     exchange, told = watched("a")
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01,), well=well) as servers:
@@ -80,7 +83,7 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
             os.kill(servers.processes()["a"], signal.SIGKILL)
             until(lambda ends=ends: len(told) > ends)
         assert servers.dead == (set() if well == 0.0 else {"a"})
-    assert told[0] == "The server a ended with status -9. It restarts in 0.01 s. Its output: nothing"
+    assert told[0] == "The server a ended with status -9. The server restarts in 0.01 s. Its output: nothing"
     assert outcome in told[-1]
 
 
@@ -144,7 +147,7 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
         until(lambda: not broken[0])
         os.kill(other, signal.SIGKILL)
         until(lambda: any("The server b ended with status -9" in text for text in told))
-    assert "The server a could not be supervised. It restarts in 0.01 s. Its output: RuntimeError: odd" in told
+    assert "The server a could not be supervised. The server restarts in 0.01 s. Its output: RuntimeError: odd" in told
     assert sum("The server a" in text for text in told) == 2
     assert any("Client requests could not be handled: ValueError: also odd" in text for text in told)
 

@@ -163,8 +163,7 @@ def _module(status: ControllerStatus, task: Task, text: str, replace: bool) -> F
     if others and not replace:
         advice = (
             "A task must have exactly one main routine. Unload the other "
-            "modules, or save and unload them with armlab abb setup "
-            "--replace."
+            "modules, or save and unload them with armlab abb setup --replace."
         )
         return Finding(name, "failure", f"main is in {', '.join(others)}", advice)
     if is_loaded and text and not replace and not same_text(status.texts.get((task.name, module), ""), text):

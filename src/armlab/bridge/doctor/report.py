@@ -28,16 +28,19 @@ _REMEDY = {
     "the motors are off": "Switch the motors on; in manual mode, hold down the enabling device.",
     "RAPID is stopped": "Start RAPID from main on the pendant.",
     "guidance has not begun (EGMRunJoint)": (
-        "This state is normal for streaming and lead-through. For "
-        "motion, RAPID must reach EGMRunJoint (ArmlabJoint.mod)."
+        "This state is normal for streaming and lead-through. For motion, RAPID must reach EGMRunJoint "
+        "(ArmlabJoint.mod)."
     ),
 }
 _OLD = {
-    "6.06": "This RobotWare version sends angles in radians; armlab "
-    "accounts for this. Compare q with "
-    "the joint values on the pendant once.",
-    "6.07": "RobotWare 6.07.00 reports wrong joint values (fixed in "
-    "6.07.01). Compare q with the joint values on the pendant.",
+    "6.06": (
+        "This RobotWare version sends angles in radians; armlab accounts for this. Compare q with the joint values on "
+        "the pendant once."
+    ),
+    "6.07": (
+        "RobotWare 6.07.00 reports wrong joint values (fixed in 6.07.01). Compare q with the joint values on the "
+        "pendant."
+    ),
 }
 _AXES = 6
 _ANY_ARM: Any = SimpleNamespace(  # accepts packets from any robot; the seventh axis of a YuMi counts as external

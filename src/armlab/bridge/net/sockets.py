@@ -160,8 +160,7 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
         why = f"a port in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
         raise LinkError(
             f"Expected TCP port {host}:{port} for {name} to be free, "
-            f"got {why}. Stop the program that uses this port or choose "
-            "another port."
+            f"got {why}. Stop the program that uses this port or choose another port."
         ) from error
     listener.setblocking(False)
     return listener

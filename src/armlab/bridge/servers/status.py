@@ -134,7 +134,7 @@ class Watch:
             self.told += 1
 
     def arms(self, now_ns: int) -> list[dict[str, str]]:
-        """Return one table row per arm: as a mapping from headings to text."""
+        """Return one table row per arm, as a mapping from headings to text."""
         if self._row is None:
             return []
         return [self._arm(self._row, name, now_ns) for name in _names(self._row) if self._robot in (None, name)]

@@ -162,7 +162,8 @@ def fit_accelerometer(
     y = numbers(acc, "acc", ShapeError)
     if y.shape != (len(RA), 3):
         raise ShapeError(
-            f"Expected readings of shape ({len(RA)}, 3), one per pose, got {y.shape}. Match them by time first."
+            f"Expected readings of shape ({len(RA)}, 3), one per pose, got {y.shape}. Match readings and poses by time "
+            "first."
         )
     finite(y, "acc")
     g = gravity_of(gravity)

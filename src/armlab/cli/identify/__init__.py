@@ -47,10 +47,11 @@ def identify(
             worst quarter of the segments). wls, ols: not robust, with or without a weight per joint.
         gravity_only: Identify only gravity and friction, from a log of slow motion (accelerations below 1 rad/s^2). Use
             this option for an arm that must not move fast; the model is sufficient for contact forces in slow motion.
-            Default: also identify inertia, which needs a log of fast motion. drives: Also identify torque ripple,
-            position-dependent friction and (with logs of at least 20 minutes) warm-up per joint. Only terms that reduce
-            the held-out residual are kept. cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by
-            cross-validation (see the report). test: Another recording without contact, to test the model.
+            Default: also identify inertia, which needs a log of fast motion.
+        drives: Also identify torque ripple, position-dependent friction and (with logs of at least 20 minutes) warm-up
+            per joint. Only terms that reduce the held-out residual are kept.
+        cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by cross-validation (see the report).
+        test: Another recording without contact, to test the model.
     """
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log

@@ -101,8 +101,7 @@ class LogPart:
         if not len(part):
             raise LogError(
                 f"Expected rows of {path} from {low:g} to {high:g} s, "
-                f"got no rows: the log ends at {last:.3f} s. Correct "
-                "--start or --end."
+                f"got no rows: the log ends at {last:.3f} s. Correct --start or --end."
             )
         return part
 

@@ -84,8 +84,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
     if path.is_file() and not is_text(path):
         raise LogError(
             f"Expected a text file at {path}, got a binary file. "
-            "Export text from ABB's signal viewer, the only program "
-            "that can read its binary files."
+            "Export text from ABB's signal viewer, the only program that can read its binary files."
         )
     robot, signals = _of_arm(about, map, arm)
     fields = _fields(path, about)

@@ -84,8 +84,7 @@ def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]
         if size > most:
             raise LogError(
                 f"Expected variables of at most {most} bytes in a file "
-                f"of this size, got {size}. Save the file from MATLAB "
-                "with save(..., '-nocompression')."
+                f"of this size, got {size}. Save the file from MATLAB with save(..., '-nocompression')."
             )
         data = packed.decompress(packed.unconsumed_tail, size + 1)
     except (zlib.error, struct.error) as error:

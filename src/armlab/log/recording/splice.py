@@ -306,8 +306,8 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
     Raises
     ------
     LogError : a file is not an armlab recording, or the output cannot be written. Also raised if recordings of one
-    robot overlap, or have different robot descriptions or incompatible columns with the same name. Also raised if the
-    robots did not run simultaneously.
+        robot overlap, or have different robot descriptions or incompatible columns with the same name. Also raised if
+        the robots did not run simultaneously.
     ConfigError : fewer than two files are given, or the extension is not .mcap.
     """
     to = recording_path(to)

@@ -64,7 +64,7 @@ def test_valid_commands_are_passed_on_and_what_is_none_is_counted() -> None:
     channel.left(b)
     with pytest.raises(LabCommError, match="finite"):
         channel.take(a, sample({**VALUE, "pos": [np.nan] * 7}), [a])
-    with pytest.raises(LabCommError, match="Expected command_row on this port, got a sample"):
+    with pytest.raises(LabCommError, match="Expected command_row on this port, got a sample of type"):
         channel.take(a, sample(3, PRIMS["int"]), [a])
     for event in (Version("x"), Definition("sample", 0x40, "command_row", COMMAND.type), Unknown(0x41, b"")):
         channel.take(a, event, [a])

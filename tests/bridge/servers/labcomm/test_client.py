@@ -88,7 +88,7 @@ def test_what_goes_wrong_is_a_link_error() -> None:
             other.close()
         with pytest.raises(UnknownName):
             LabCommClient(port=port, dialect="2015")
-    with pytest.raises(LinkError, match="Start it"):
+    with pytest.raises(LinkError, match="Start the server"):
         LabCommClient(port=port, types=RowTypes(order="chain"), patience=1.0)
 
 
@@ -128,7 +128,7 @@ def test_it_connects_again_and_says_what_is_wrong(start: Start) -> None:
     source.start()
     until(lambda: one.server.counts["left"]["clients"] == 1)
     one.server.close()
-    until(lambda: "closed the connection" in source.problem or "Start it" in source.problem)
+    until(lambda: "closed the connection" in source.problem or "Start the server" in source.problem)
     again = LabCommServer([ArmChannel("left", port)])
     until(lambda: again.counts["left"]["clients"] == 1)
     again.row("left", row(4))
@@ -272,5 +272,5 @@ def test_urls(robot: Robot, start: Start) -> None:
     with pytest.raises(ConfigError, match="labcomm://HOST:PORT"):
         bridge.connect("labcomm://host:port", robot)
     one.server.close()
-    with pytest.raises(LinkError, match="Start it"):
+    with pytest.raises(LinkError, match="Start the server"):
         bridge.connect(f"labcomm://127.0.0.1:{number}", robot)

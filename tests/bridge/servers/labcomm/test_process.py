@@ -209,7 +209,7 @@ def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, 
         types, encoder = RowTypes(robot.abb_axes), Encoder("2014v1")
         value = {name: 7 * [0.0] for name in ("pos", "vel", "trq")}
         one.sendall(encoder.version() + encoder.define(types.sent) + encoder.data(types.sent, {"tm": 1, **value}))
-        until(lambda: said("got a sample 'robot_row'"))
+        until(lambda: said("got a sample of type 'robot_row'"))
         one.sendall(64 * b"\xff")
         until(lambda: said("was closed, offset"))
     assert not running.exchange.arbiter.obeyed[robot.name]

@@ -189,7 +189,7 @@ def test_a_goal_arrives_with_feedback(bench: Bench, monkeypatch: pytest.MonkeyPa
         (trajectory((0.0, 0.0), (1.0, 0.1), (1.01, 0.2)), -1, "speeds up to 1.571"),  # half of the robot's
         (trajectory((0.0, 0.0), (9.0, 3.0)), -1, "positions from"),
         (trajectory((0.0, 0.2), (1.0, 0.1)), -1, "first point to be near the arm"),
-        (trajectory((0.01, 0.1), (1.0, 0.1)), -1, "from the arm to the first point"),
+        (trajectory((0.01, 0.1), (1.0, 0.1)), -1, "to reach the first point"),
         (trajectory((1.0, 0.1), header={"stamp": seconds(1.0)}), -1, "ends in the future"),
         (trajectory((1.0, np.nan)), -1, "finite q"),
     ],
@@ -286,7 +286,7 @@ def test_an_arm_that_is_not_ready_refuses(bench: Bench) -> None:
         bench.number += 1
         bench.row(nothing, None)
         bench.serve()
-    assert bench.until(result)[2] == "yumi_left is not ready. Send the goal again when it is ready."
+    assert bench.until(result)[2] == "yumi_left is not ready. Send the goal again when the arm is ready."
 
 
 @pytest.mark.parametrize("act", ["stop", "release"])
@@ -510,7 +510,7 @@ def test_a_node_runs_trajectories(kind: str, tmp_path: Path, monkeypatch: pytest
     for name, status, code, words in (
         ("2", CANCELED, "-1", "Canceled by ros2"),
         ("3", ABORTED, "-2", "got 'elbow'"),
-        ("4", ABORTED, "-1", "A newer command replaced it."),
+        ("4", ABORTED, "-1", "A newer command replaced this one."),
         ("5", SUCCEEDED, "0", ""),
     ):
         assert goals[name][:2] == [str(status), code], said

@@ -54,7 +54,7 @@ def test_parameters_are_listed_and_described(running: Any) -> None:
     assert call(running, "list_parameters", ["mode", "ga"], 0).names == ["mode"]
     assert list(call(running, "get_parameter_types", [*LISTED, "missing"])) == [3, 2, 4, 1, 8, 0]
     gain, count, missing = call(running, "describe_parameters", ["gain", "count", "missing"])
-    assert (gain.type, gain.additional_constraints, gain.read_only) == (3, "Any client may set it.", False)
+    assert (gain.type, gain.additional_constraints, gain.read_only) == (3, "Any client may set this parameter.", False)
     assert [(one.from_value, one.to_value) for one in gain.floating_point_range] == [(0.0, 1.0)]
     assert [(one.from_value, one.step) for one in count.integer_range] == [(0, 1)]
     assert (missing.name, missing.type) == ("missing", 0)

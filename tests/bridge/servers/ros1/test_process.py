@@ -382,7 +382,7 @@ def test_a_server_whose_relay_is_killed_starts_again_and_comes_back_when_the_mas
     server = running.servers.processes()["ros1"]
     (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
     os.kill(int(relay), signal.SIGKILL)
-    running.until(lambda: any("It restarts in 1 s" in text for text in running.told))
+    running.until(lambda: any("The server restarts in 1 s" in text for text in running.told))
     running.until(lambda: running.exchange.outlets["ros1"].where)
     end(ros.master)
     running.until(lambda: any("stopped or restarted" in text for text in running.told))

@@ -140,7 +140,7 @@ def test_one_client_reads_while_the_others_are_lost(monkeypatch: pytest.MonkeyPa
     assert len(numbers) > 1000
     assert np.all(np.diff(numbers) > 0)
     assert len(numbers) >= 0.999 * (numbers[-1] - numbers[0] + 1)
-    assert re.search(r"To its clients: .* dropped\)", cell_run.report())
+    assert re.search(r"Rows from this server to its clients: .* dropped\)", cell_run.report())
     served = cell_run.statistics["servers"]["rosbridge"]
     assert served["lost"] == 0, "the loop waited for no client, and the server for none"
     assert sum(dropped > 0 for _, dropped in served["clients"].values()) == 3  # stopped, and twice gone
@@ -324,7 +324,7 @@ def test_roslib_runs_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ("wrong", -2, "was aborted.*name of a joint, got .*elbow"),
         ("fast", -1, "was aborted.*first point to be near the arm"),
         ("empty", -1, "was aborted.*points, got none"),
-        ("first", -1, "was aborted.*newer command replaced it"),
+        ("first", -1, "was aborted.*newer command replaced this one"),
     ):
         assert re.search(words, found[name]["error"]), found[name]["error"]
         assert f'"error_code":{code}' in found[name]["error"]

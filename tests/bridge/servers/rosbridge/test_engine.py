@@ -365,7 +365,7 @@ def test_services_nodes_and_time(bench: Bench) -> None:
     assert bench.ask(client, "/rosapi/get_time")["time"]["sec"] > 1.7e9
     assert bench.ask(client, "/rosapi/get_time", type="rosapi/GetTime")["time"]["secs"] > 1.7e9
     assert "Did you mean '/rosapi/topics'" in bench.ask(client, "/rosapi/topicz")
-    assert "Expected 'topic' to be a text" in bench.ask(client, "/rosapi/topic_type")
+    assert "Expected 'topic' to be a string" in bench.ask(client, "/rosapi/topic_type")
 
 
 def test_message_details_name_all_types_inside(bench: Bench) -> None:

@@ -204,7 +204,7 @@ def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
             feed.ask(CommandRequest())
         feed.ask(Subscribe(rate=0.0))
         one.exchange.close()
-        with pytest.raises(LinkError, match="it is gone"):
+        with pytest.raises(LinkError, match="the bridge has disappeared"):
             all_of(feed)
 
 

@@ -108,7 +108,7 @@ def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> Non
     port = free_port()
     everywhere = open_session("router", [f"0.0.0.0:{port}"])
     for router in ("", f"127.0.0.1:{port}"):
-        with pytest.raises(ConfigError, match=f"the Zenoh router at port {port} listens at every address"):
+        with pytest.raises(ConfigError, match=f"the Zenoh router at port {port} listens on every address"):
             open_near("127.0.0.1", port, router, commands=True)
     reading, where = open_near("127.0.0.1", port)
     assert f"through the router at 127.0.0.1:{port}" in where

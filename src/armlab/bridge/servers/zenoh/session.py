@@ -162,10 +162,8 @@ def _check_router(router: str, is_open: bool) -> None:
     if is_open and not is_here(router):
         raise ConfigError(
             f"Expected certificates and users, because `commands` lists this server and its router {router} is on "
-            "another computer: any client of the router could send "
-            "commands. Create both with "
-            "armlab bridge certificates, "
-            "or remove the server from `commands`."
+            "another computer: any client of the router could send commands. Create both with armlab bridge "
+            "certificates, or remove the server from `commands`."
         )
     _check_router_here("", int(port), is_open)
 
@@ -178,11 +176,10 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
         except OSError:  # in use at every address or, on some systems, possibly at only one other address
             if is_open:
                 raise ConfigError(
-                    "Expected no commands from other computers, but the Zenoh router at "
-                    f"port {port} listens on every address of this computer, so any "
-                    "client could send commands. Make the "
-                    "router listen only on 127.0.0.1, choose "
-                    "another `port`, or create certificates and users with armlab bridge certificates."
+                    f"Expected no commands from other computers, but the Zenoh router at port {port} listens on every "
+                    "address of this computer, so any client could send commands. Make the router listen only on "
+                    "127.0.0.1, choose another `port`, or create certificates and users with armlab bridge "
+                    "certificates."
                 ) from None
             return
     if host == _ANYWHERE:
