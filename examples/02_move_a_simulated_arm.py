@@ -1,7 +1,7 @@
 """Move one joint of a simulated YuMi sinusoidally over EGM, record a log and read it back.
 
-To move a real arm, read docs/egm.md, then set `url` to "egm://192.168.125.50:6510". That is the address of this
-computer on the robot's network.
+To move a real arm, read docs/egm.md, then set `url` to "egm://192.168.125.50:6510". This URL contains the address of
+this computer on the robot's network.
 """
 
 import numpy as np

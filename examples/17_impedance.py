@@ -1,4 +1,4 @@
-"""Torque-based impedance control: the arm acts as a spring and damper about its start, and a hand pushes it.
+"""Torque-based impedance control: the arm acts as a spring and damper about its start position, and a hand pushes it.
 
 The simulated robot accepts torques through the research extension; standard EGM does not transmit torques. The arm
 stops a few millimetres from its start, because such a soft spring cannot overcome friction.

@@ -1,4 +1,4 @@
-"""Force sensor calibration with 1 kg in a hundred orientations: estimate axes, load and bias; flag contacts."""
+"""Force sensor calibration with a 1 kg load in a hundred orientations: estimate axes, load and bias; flag contacts."""
 
 import numpy as np
 

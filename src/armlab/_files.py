@@ -41,7 +41,7 @@ class Descriptor:
 
     @property
     def is_open(self) -> bool:
-        """Whether the number still refers to the same file."""
+        """Whether the descriptor number still refers to the same file."""
         return self._file is not None and _file(self.number) == self._file
 
     def same_file(self, number: int) -> bool:

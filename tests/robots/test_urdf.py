@@ -123,7 +123,7 @@ def test_a_chain_has_what_its_branch_has(tree: Tree) -> None:
     assert robot.source.splitlines() == [
         "geometry: the URDF text, from 'body' to 'cup'",
         "gravity: assumption: z of 'body' points up",
-        "accelerations: assumption: full speed in 0.1 s",
+        "accelerations: assumption: full speed is reached in 0.1 s",
     ]
     mount = se3.from_rp(euler.rot_x(-0.5), [0, 0.3, 1]) @ se3.from_rp(np.eye(3), [0, 0, 0.1])
     np.testing.assert_allclose(robot.links[0], mount, rtol=0, atol=1e-15)

@@ -63,7 +63,7 @@ FAULTS = [  # what is replaced by what; the line that must be named; the sentenc
     ('<link name="foot"/>', "", 4, "the parent of joint 'turn' to be one of the links .* got 'foot'. Add"),
     ('child link="upper"', 'child link="uper"', 4, "joint 'turn' to be one of the links .* closest name is 'upper'"),
     (END, LOOSE.format("foot", "lower") + END, 27, "joint above link 'lower' .* 'j' in addition to 'slide' in line 19"),
-    (END, LOOSE.format("lower", "foot") + END, 4, "joints that lead away from one root .*a loop through joint 'turn'"),
+    (END, LOOSE.format("lower", "foot") + END, 4, "directed away from a single root .*a loop through joint 'turn'"),
     (END, '<link name="a"/>' + LOOSE.format("a", "a") + END, 27, "a loop through joint 'j'"),
     (END, '<link name="alone"/></robot>', 27, "one root link .*'foot' .line 3., 'alone' .line 27"),
     ('type="revolute"', 'type="hinge"', 4, "a joint type among revolute, continuous, .* got 'hinge'"),

@@ -44,7 +44,7 @@ class Order(NamedTuple):
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool) -> tuple[Command, str]:
-    """Convert an order to a Command; also return an error message, "" if the order is valid as a whole."""
+    """Convert a client command to a Command; also return an error message ("" if the command as a whole is valid)."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)
@@ -52,7 +52,8 @@ def read_order(order: Order, robot: Robot, has_torque: bool) -> tuple[Command, s
             return Command(), problem
     if values["tau"] is not None and not has_torque:
         problem = (
-            f"Expected no torque for {robot.name}, because its cell does not allow torque commands. Set `torque` of "
+            f"Expected a command without torque for {robot.name}, because "
+            "its cell does not allow torque commands. Set `torque` of "
             "the robot in the cell file."
         )
         return Command(), problem
@@ -62,7 +63,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool) -> tuple[Command, s
 
 
 def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return one vector (n,) of an order and an error message, "" if the vector is valid."""
+    """Return a vector (n,) of a client command, and an error message ("" if the vector is valid)."""
     values = getattr(order, name)
     if values is None:
         return None, ""
@@ -164,7 +165,7 @@ class Arbiter:
         elif self._reserved:
             why = f"{order.arm} is commanded by {self._reserved}. You have read-only access."
         elif order.server not in self._allowed:
-            why = f"Expected no commands through {order.server}, because `commands` does not list it."
+            why = f"Expected a command through a server listed in `commands`, got a command through {order.server}."
         elif len(self._inbox) >= _CLIENTS and (order.arm, order.client) not in self._inbox:
             why = f"Expected at most {_CLIENTS} commanding clients at once." if order.goal else ""
         else:
@@ -223,13 +224,13 @@ class Arbiter:
         if self.stopped:
             self.release(who)
             for _, order in self._inbox.values():
-                self._end(order, "aborted", "interrupted", f"{who} ended a stop.")
+                self._end(order, "aborted", "interrupted", f"{who} ended the stop.")
             self._inbox.clear()
             self.stopped = ""
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms of a commanding client (default: all arms)."""
+        """Release the arms commanded by a client (default: all arms)."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")
@@ -304,7 +305,7 @@ class Arbiter:
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.", each=True)
         else:
-            self._end(holder.order, "aborted", "interrupted", "A newer command replaced this one.")
+            self._end(holder.order, "aborted", "interrupted", "A newer command replaced this command.")
         self._holders[order.arm] = _Holder(order.client, command, order.seq, came_ns, order)
         if order.goal:
             self._on_goal(order, ("executing", "", ""))

@@ -225,7 +225,7 @@ class LabCommTable(_Table, frozen=True):
 
 
 class _Server(_Table, frozen=True):
-    """Table of a server."""
+    """Configuration table of a server."""
 
     def options(self) -> dict[str, Any]:
         """Return the options of the server process, with `GUARDED` if the server supports a secret."""

@@ -137,7 +137,7 @@ class Simulator:
         self._reader.start()
 
     def gone(self) -> str:
-        """Return why the process ended, or "" while it is running."""
+        """Return the reason why the process ended, or "" while it is running."""
         status = self._process.poll()
         if status is None:
             return ""
@@ -384,9 +384,9 @@ class Link:
         and the log is closed. A second Ctrl-C raises the exception immediately; the arm then keeps its last speed until
         the robot controller times out. If a controller call lasts longer than 1 s, Ctrl-C interrupts the call.
 
-        With several arms, each packet of the pacing arm triggers a controller call with the State of all arms, as long
-        as all are ready. The other arms receive their newest commands in their own ticks. All arms hold when any arm is
-        not ready, ends its session or stops sending packets.
+        With several arms, each packet of the pacing arm triggers a controller call with the State of all arms, provided
+        that all arms are ready. The other arms receive their newest commands in their own ticks. All arms hold when any
+        arm is not ready, ends its session or stops sending packets.
 
         Parameters
         ----------
@@ -433,7 +433,7 @@ class Link:
         Raises
         ------
         ConfigError
-            Invalid options, limits for a different number of joints, or a robot in lockstep without replies.
+            Invalid options, limits for a different number of joints, or a lockstep robot without replies.
         UnknownName
             `pace` is not an arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed

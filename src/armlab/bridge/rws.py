@@ -1,8 +1,8 @@
 """Robot Web Services (RWS): `AbbController` reads the state of an ABB controller, and loads, starts and stops RAPID.
 
-The client abb_robot_client (extra ``abb``) supports RWS 1.0 of RobotWare 6. For RobotWare 7, a `requests` transport
-below the client translates the client's requests to RWS 2.0. The password never appears in a URL, an error, a repr or
-an event.
+The client abb_robot_client (extra ``abb``) supports RWS 1.0 of RobotWare 6. For RobotWare 7, a transport adapter for
+`requests` translates the client's requests to RWS 2.0. The password never appears in a URL, an error, a repr or an
+event.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _CODES = {
     -1073445860: "the operating mode does not allow this request. Switch the controller to automatic",
     -1073445859: "another program or the pendant holds mastership. Release it there",
     -1073445862: "another program or the pendant holds mastership. Release it there",
-    -1073445867: "the user lacks the required grant. Add the grant in the controller's user authorisation",
+    -1073445867: "the user lacks the required grant. Add the grant in the controller's user authorisation system",
     -1073445863: "the user lacks the required grant. Add the grant in the controller's user authorisation",
     -1073442809: "RAPID is running. Stop it first",
     -1073442802: "RAPID found a semantic error, such as a second main routine. Check the program on the pendant",

@@ -294,8 +294,8 @@ def fit_hand_eye_images(
     notes = seen.report().splitlines()
     if ratio > 1.0:
         notes.append(
-            f"Pose residuals are {np.sqrt(ratio):.2g} times as large "
-            "as the corner errors explain; standard deviations are scaled by this factor."
+            f"Pose residuals are {np.sqrt(ratio):.2g} times as large as expected "
+            "from the corner errors; standard deviations are scaled by this factor."
         )
     D, S, sd = seen.sensitivity[seen.valid][keep], np.zeros((12, d)), np.sqrt(np.diag(seen.intrinsics_cov))
     for k in range(d):
@@ -357,7 +357,8 @@ def _gray(cv2: Any, image: Any, name: str) -> np.ndarray:
 
 
 def _detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return a function that returns the corners in an image or, if detection fails, the reason as a string."""
+    """Return a function that detects the corners in an image; if detection fails, the function returns the reason as a
+    string."""
     if board.kind == "checkerboard":
         return lambda image: _checkerboard(cv2, board, image)
     if board.kind == "charuco":

@@ -124,7 +124,7 @@ def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
 
 
 def readings_of_robot(R: np.ndarray, t: np.ndarray) -> Iterator[Reading]:
-    """Yield interpretations of the robot poses, and of their inverses for eye-in-hand setups."""
+    """Yield alternative interpretations of the robot poses, and of their inverses for eye-in-hand setups."""
     yield from readings(R, t)
     back = R.transpose(0, 2, 1)
     for one in readings(back, -(back @ t[:, :, None])[:, :, 0]):

@@ -478,7 +478,7 @@ def require_samples(N: int, least: int, what: str) -> None:
 
 
 def _cause(equation: HandEyeEquation) -> str:
-    """Return the likely error in the records, such as an interpretation that fits much better."""
+    """Return the likely cause of the misfit, such as inverted poses, reversed axes or wrong units."""
     cause = _other_reading(equation)
     if cause:
         return cause

@@ -174,7 +174,7 @@ def _point_model(
 
 
 class Points(NamedTuple):
-    """Points (K, 3) in tool axes and the pose Y."""
+    """Marker points (K, 3) in tool axes, and the pose Y."""
 
     s: np.ndarray
     RY: np.ndarray
@@ -355,7 +355,7 @@ def require_agreement(model: PointModel, rms: float | None = None, left_out: flo
 
 
 def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Raise an error if the shape of the marker differs from the observed points."""
+    """Raise an error if the shape of the marker does not match the observed points."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -379,7 +379,7 @@ def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None
 
 
 def _unit_or_hand(model: PointModel, found: Linear) -> str:
-    """Return the likely error if the matrix of a good linear solution is not a rotation."""
+    """Describe the likely error if a good linear solution contains a matrix that is not a rotation."""
     size = np.linalg.svd(found.M, compute_uv=False)
     scale = float(np.cbrt(np.prod(size)))
     if size[2] < ROUND * size[0] or found.misfit > 0.1 * scale * model.spread:

@@ -71,7 +71,10 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     note, near = "", off > so3.NEGLIGIBLE
     if near.any():
         R = so3.orthonormalise(R)
-        note = f"{np.count_nonzero(near)} rotations in {name} deviated by up to {off.max():.2g} and were projected"
+        note = (
+            f"{np.count_nonzero(near)} rotations in {name} deviated by "
+            f"up to {off.max():.2g} from orthonormality and were projected"
+        )
     return R, note
 
 

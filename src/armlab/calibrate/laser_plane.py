@@ -4,8 +4,8 @@ Maximum-likelihood estimate from lines or raw profiles in the laser plane (resid
 is needed, and plates may pass through the origin. Problem statement: Bagge Carlson, Johansson and Robertsson (2015).
 
 The best initial guess of each group is fitted first. If the fit is inconsistent with the noise, every initial guess of
-the group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` applied to whole scans. Scaling rho by the median
-residual makes these steps robust to unknown noise and outliers. Only the two best results are then fitted to
+the group is refined by a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` applied to whole scans. Scaling rho by the
+median residual makes these steps robust to unknown noise and outliers. Only the two best results are then fitted to
 convergence, which limits the computing time for scans that cannot be fitted.
 """
 
@@ -149,7 +149,7 @@ def scans_of(T_base_tool: Any, scans: Any, plane: Any, noise: Any) -> tuple[Scan
 
 
 def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
-    """Return the point and direction (N, 2) of each scan; for profiles also the raw points (M, 2) and scan indices."""
+    """Return the point and direction (N, 2) of each scan; for profiles, also the raw points (M, 2) and scan indices."""
     if getattr(scans, "ndim", None) == 2 or (len(scans) and np.ndim(scans[0]) == 1):
         values = numbers(scans, "scans", ShapeError)
         if values.shape != (N, 4):
@@ -181,8 +181,8 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
     fat = np.array([i for i, (_, s, _) in enumerate(shapes) if s[1] > FAT * s[0]], dtype=int)
     if len(fat):
         raise ShapeError(
-            "Expected profiles of flat plates, got profiles that are not "
-            f"lines in rows {rows_text(fat)}. Crop the profiles to the plate."
+            "Expected profiles of flat plates, got profiles that are not straight "
+            "lines in rows {rows_text(fat)}. Crop the profiles to the plate."
         )
     owner = np.repeat(np.arange(N), [len(one) for one in profiles])
     return p, np.array([V[0] for _, _, V in shapes]), np.concatenate(profiles), owner
@@ -200,7 +200,7 @@ def _profile_noise(noise: Any, count: int) -> np.ndarray | None:
         return None
     values = np.atleast_1d(numbers(noise, "noise", ShapeError))
     if values.shape != (count,) or not np.all(values > 0) or not np.isfinite(values).all():
-        usual = "(sd of points [m], sd of angles [rad]) of lines" if count == 2 else "one sd of raw points [m]"
+        usual = "(sd of line points [m], sd of line angles [rad])" if count == 2 else "one sd of raw points [m]"
         raise ShapeError(f"Expected noise as {usual}, above zero, got {noise!r}. Correct the noise.")
     return values**2
 
@@ -260,7 +260,7 @@ def _spread(p: np.ndarray) -> float:
 
 
 def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iterator[NonlinearSolution[Scene]]:
-    """Yield the fit from the first initial guess, then the fits after the best short descents."""
+    """Yield the fit from the first initial guess, then the fits started from the best results of short descents."""
     first = _tried(scans, group[0], robust)
     if first is not None:
         yield first
@@ -351,7 +351,7 @@ def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bo
 
 
 def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
-    """Raise an error for residuals larger than any scanner error."""
+    """Raise an error for residuals larger than any plausible scanner error."""
     size, spread = float(found.sigma[0]), scans.spread(found.value)
     turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
     if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:
@@ -360,5 +360,5 @@ def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) ->
     raise misfit(
         scans, ratio, found.value,
         f"residuals of {size:.3g} m{angles} (RMS), although the points spread over {spread:.3g} m, and "
-        f"{int(found.outliers.sum())} of {scans.N} scans as outliers",
+        f"{int(found.outliers.sum())} of {scans.N} scans flagged as outliers",
     )  # fmt: skip

@@ -188,7 +188,7 @@ def _short_warnings() -> Iterator[None]:
 def _interruptible() -> Iterator[list[int]]:
     """Treat SIGTERM and a closed terminal like Ctrl-C; yield the list of received signals.
 
-    This ensures that logs are closed and simulators are stopped.
+    An interrupted command therefore closes its logs and stops its simulators.
     """
     came: list[int] = []
 

@@ -138,7 +138,7 @@ def _await(feed: Any, kind: str) -> dict[str, Any]:
                 return message
             if message["kind"] == "answer":
                 raise CommandRefused(message["text"])
-    raise LinkError(f"Expected the bridge to answer within {_PATIENCE:g} s, but it did not. Try again.")
+    raise LinkError(f"Expected an answer from the bridge within {_PATIENCE:g} s, got none. Try again.")
 
 
 def _setting(word: str) -> tuple[str, Any]:
@@ -164,8 +164,8 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
 
     ``lab.pem`` is public. ``bridge.pem``, ``bridge.key`` and ``users.txt`` belong on the bridge's computer (and on that
     of the lab's router). ``USER.secret`` is for that user only. ``lab.key`` signs the certificates of further bridges
-    and stays private. Only the owner can read the keys and passwords. An existing authority and existing users are
-    kept.
+    and stays private. Only the owner can read the keys and passwords. An existing certificate authority and existing
+    users are kept.
     """
     names = ["localhost", "127.0.0.1", *hosts]
     for name in names:

@@ -70,7 +70,8 @@ def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Plan:
-    """Planned motions of the demo and presses by its operator. Times are guidance times of the second run [s]."""
+    """Planned motions of the demo, and the presses applied by its simulated operator. Times are guidance times of the
+    second run [s]."""
 
     excitation: Trajectory  # motion of the first run
     test: Trajectory  # motion of the second run

@@ -155,7 +155,7 @@ def _saved(path: Path, robot: Robot, force: bool) -> Table:
         for entry in table.source:
             if entry.startswith(_FOR):
                 name, _, digest = entry.removeprefix(_FOR).rpartition(" ")
-                advice = "Design a motion for this robot, or add --force to use this one."
+                advice = "Design a motion for this robot, or add --force to use this motion."
                 check_same(robot, f"the motion {path}", name, digest, None, advice)
     return table
 

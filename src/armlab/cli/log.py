@@ -151,7 +151,8 @@ def _table(file: Path, columns: str | None, robot: str | Robot | None, **options
 
 
 def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
-    """Return the recorded or given arm, which provides joint names for the new file; None if the format has none."""
+    """Return the recorded or given arm, which provides joint names for the new file; None if the format does not store
+    joint names."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -244,7 +245,7 @@ def resample(
 
     Numbers are interpolated linearly, and poses and quaternions along geodesics. Counts, flags and text columns keep
     the value of the previous row. Use this command for logs with skipped cycles or jittered timestamps. The rate must
-    not be lower than that of the log; to downsample, filter first.
+    not be lower than the sampling rate of the log; to downsample, filter first.
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
@@ -416,7 +417,7 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
         blocks.append(aligned(shown))
     blocks += _table_texts(tables)
     if skipped := held.summary.get("skipped"):
-        blocks.append(f"The robot's clock shows {skipped} skipped controller cycles, so these rows are missing.")
+        blocks.append(f"The robot's clock shows {skipped} skipped controller cycles, for which the log has no rows.")
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
     lines = [f"{_when(event.stamp_ns, began):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)
@@ -472,7 +473,7 @@ VIEWERS = {
 
 
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
-    """Return the program that opens a recording, and its path."""
+    """Return the program that opens a recording, and the path of the program."""
     if len(wanted) > 1:
         raise ConfigError(f"Expected a single program to open the log, got {' and '.join(wanted)}. Omit one.")
     places = {name: shutil.which(viewer.program) for name, viewer in VIEWERS.items()}

@@ -24,10 +24,11 @@ def record(
     patience: float | None = None,
     force: Force = False,
 ) -> int:
-    """Record the EGM data of robots. Sends nothing, so it cannot move the robots.
+    """Record the EGM data of robots. The command sends nothing, so it cannot move the robots.
 
-    Ends after --seconds of packets, after --patience without packets, or on Ctrl-C. The log then contains every
-    received packet. If the process is killed, one or two packets are lost; a power failure loses up to 0.8 s of data.
+    Ends after receiving packets for --seconds, after receiving none for --patience, or on Ctrl-C. The log then contains
+    every received packet. If the process is killed, one or two packets are lost; a power failure loses up to 0.8 s of
+    data.
 
     Parameters:
         robot: Library names or robot files; each robot has its own log.
@@ -80,7 +81,7 @@ _STEPS = """Lead-through, step by step:
 
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
-    """Return the URL of each arm's link, on all network interfaces."""
+    """Return one link URL per arm, which listens on all network interfaces."""
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. For example: armlab record yumi_left -o run.mcap.")
     numbers = known_ports(arms) if port is None else ports_in(port)

@@ -121,8 +121,10 @@ def export(
         found, known = replace(found, inertias=links), replace(known, rotor=rotor)
         if away > 0.0:
             note(
-                "No physically consistent inertias reproduce the torques of this model: its base parameters change by "
-                f"{away:.2g} standard deviations in total. A richer motion in the log reduces their uncertainty."
+                "No physically consistent inertias reproduce the torques "
+                "of this model: the exported base parameters differ by "
+                f"{away:.2g} standard deviations in total. To reduce the "
+                "uncertainty of the parameters, record a log with a richer motion."
             )
         if target.suffix == ".toml":
             armlab.robots.save(found, target)

@@ -121,7 +121,7 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
         named = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise ConfigError(
             f"Expected a function {name!r} in {path}, {got}. The file defines {', '.join(named) or 'no function'}. "
-            "Select one with FILE.py:NAME."
+            "Select a function with FILE.py:NAME."
         )
     return found, getattr(module, "extra", None)
 
@@ -231,7 +231,7 @@ def play(
 
 
 def read_motion(file: Path, robot: Robot, columns: str | None, force: bool) -> JointTrajectory:
-    """Return the trajectory in a file: a message in JSON, or the motion in a table."""
+    """Return the trajectory stored in a file, as a JSON message or a table."""
     import numpy as np
 
     from armlab.motion import JointTrajectory

@@ -161,7 +161,8 @@ class RwsOptions:
 
     @contextmanager
     def serving(self, box: VirtualController | None) -> Iterator[None]:
-        """Run the services during the block, for RWS 2.0 with a self-signed certificate as on OmniCore controllers."""
+        """Run the services inside the with block; RWS 2.0 uses a self-signed certificate, as on OmniCore
+        controllers."""
         if box is None or self.rws is None:
             yield
             return
@@ -259,7 +260,7 @@ class TextFile:
 
 
 def truth_writer(file: TextFile, controller: SimulatedController) -> Callable[[UdpClient], None]:
-    """Write the header of the truth file, and return the function that writes a row per packet."""
+    """Write the header of the truth file, and return a function that writes one row per packet."""
     import numpy as np
 
     joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}
@@ -459,7 +460,7 @@ class _SharedOptions:
             if robot.inertias is not None and math.inf in robot.tau_max:
                 note(
                     f"note: {robot.name} has joints without an effort limit. Their "
-                    "drives are sized by the torque needed to hold the outstretched arm"
+                    "drives are sized for the torque needed to hold the outstretched arm"
                 )
             return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
         unusable = {"operator": self.around.operator and not index, "grip": self.around.grip and not index}

@@ -39,8 +39,8 @@ def view(
 ) -> None:
     """Show logs in the browser until Ctrl-C; with --live a running bridge, with --fleet all robots at a router.
 
-    Prints the address of the page. Only this computer can open the page; for remote viewing, forward the port with ssh
-    -L. A view is read-only: it cannot delay or command the bridge. The view waits for the bridge to start, and
+    Prints the address of the page. The page can be opened only on this computer; for remote viewing, forward the port
+    with ssh -L. A view is read-only: it cannot delay or command the bridge. The view waits for the bridge to start, and
     reconnects after a restart.
 
     Parameters:
@@ -145,7 +145,7 @@ def _open(url: str) -> None:
 def beside(cell: str, robot: str | None = None) -> Iterator[str]:
     """Show a bridge in the browser during the block, from a separate process; yields the address.
 
-    `robot`: arm as typed by the user, whose meshes are added.
+    `robot`: arm as typed by the user; the meshes of this arm are added.
     """
     words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell, *(mesh_option(robot) if robot else ())]
     with TemporaryFile("w+") as said:

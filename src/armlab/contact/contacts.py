@@ -131,13 +131,13 @@ def hypotheses(
     window : window length [s]; contacts shorter than a window are averaged with free motion.
     memory : correlation time of the torque error [s], see `correlation_time`. A window counts as window / (2 memory)
         independent samples. For an identified YuMi model and the 10 Hz filter, the correlation time in motion is 0.02
-        to 0.06 s. The default of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
+        to 0.06 s. The default of 0.1 s is conservative; above 0.2 s, windows of free motion remain undecided.
 
     Raises
     ------
     UnknownName : the table has no estimate.
-    ShapeError : the joint count, point, segment, prior or a time is invalid; a point is further from the tool than the
-        arm is long; the table is shorter than a window; or every window has missing rows.
+    ShapeError : the joint count, point, segment, prior or a time is invalid; a point is farther from the tool than the
+        length of the arm; the table is shorter than a window; or every window has missing rows.
 
     References
     ----------
@@ -400,7 +400,7 @@ def compare(table: Table) -> Comparison:
     error = table["wrench_hat"] - table[source]
     known = np.isfinite(error).all(axis=1)
     if not known.any():
-        raise UnknownName(f"Expected rows with an estimate and with {source}, got no such row among {len(table)}.")
+        raise UnknownName(f"Expected rows with an estimate and with {source}, got none among {len(table)} rows.")
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
     rms = np.sqrt(np.mean(error[known] ** 2, axis=0))
     inside = np.mean(np.abs(error[known]) <= 2 * sigma[known], axis=0)

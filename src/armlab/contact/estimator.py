@@ -13,7 +13,7 @@ its velocity-dependent covariance C_tau(qd).
             torque gains within 3 standard deviations, by linear programming.
 "clip"      like "bounded", by a method that is easy to audit but needs thousands of iterations. For comparison only.
 "ls"        weighted least squares without a prior. For comparison only; estimates become huge near singular poses.
-"ols"       like "ls" without weights, ``(J J^T)^-1 J tau_e``: TFRT-7651, eq. (1). For comparison only.
+"ols"       same as "ls" without weights, ``(J J^T)^-1 J tau_e``: TFRT-7651, eq. (1). For comparison only.
 "lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as printed in TFRT-7651, eq. (2). For comparison only; using a
             covariance instead of a weight gives the noisiest joint the largest weight. The sign is armlab's; F_ext in
             the report is -F.
@@ -23,7 +23,8 @@ Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u 
 "observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is the low-pass filtered J^T F; F is then computed as in "map"
             (De Luca and Mattone 2003).
 "kf"        Kalman filter for momentum and wrench; the wrench is a leaky random walk (Wahrburg et al. 2015, 2018).
-            With ``bias``, the unknown friction after a stop is also a state, and `tare` separates it from contact.
+            With ``bias``, the unknown friction after a stop is an additional state, and `tare` separates it from
+            contact.
 """
 
 from __future__ import annotations
@@ -185,10 +186,10 @@ class Estimator:
         See the module docstring; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may stop.
     prior : array_like, shape (6,), optional
         Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point,
-        only the first three (force) are used.
+        only the first three components (force) are used.
     point : array_like, shape (3,), optional
-        Known contact point in tool axes [m], which reduces the unknowns from six to three. A correct point halves the
-        error; a wrong point doubles it.
+        Known contact point in tool axes [m], which reduces the unknowns from six to three. A correct contact point
+        halves the error; a wrong point doubles it.
     force_rate : {"smooth", "normal", "fast"} or array_like, shape (6,), optional
         Random-walk intensity of the wrench for "kf" [N/sqrt(s), N m/sqrt(s)]: "smooth" is 2 and 0.2, "normal"
         (default) is 5 and 0.5, "fast" is 20 and 2.
@@ -205,10 +206,10 @@ class Estimator:
     ModelMismatchError
         The model belongs to another robot, or lacks the noise model that momentum methods need.
     UnknownName
-        The method or the name of a rate is unknown.
+        The method or the rate name is unknown.
     ShapeError
-        The prior, rate, leak or gain is not positive, or the point is not finite or is further from the tool than the
-        arm is long.
+        The prior, rate, leak or gain is not positive, or the point is not finite or is farther from the tool than the
+        length of the arm.
     ConfigError
         An option belongs to another method.
 
@@ -334,7 +335,7 @@ class Estimator:
     def tare(self) -> None:
         """Declare that there is no contact now; the torque error is then attributed to friction.
 
-        The tare conditions the state on a zero wrench. The tare is valid while every joint stays in place. Once a joint
+        The tare conditions the state on a zero wrench. The tare remains valid as long as no joint moves. Once a joint
         moves by more than its presliding distance, its friction changes: the friction error is discarded and the flag
         TARED is cleared.
 
@@ -375,7 +376,7 @@ class Estimator:
         table : log with columns q, qd, tau (N, n).
         tare : duration from the start [s], or slice of rows, in which the arm rests without contact. The torque error
             in this interval is attributed to friction while every joint stays within its presliding distance. The
-            torque standard deviation drops by up to half. These rows have the flag TARED.
+            torque standard deviation decreases by up to half. Rows with a tare have the flag TARED.
         progress : called with (rows done, total rows, description).
 
         Raises
@@ -414,7 +415,7 @@ class Estimator:
         return table if interval is None else table.with_column("wrench_interval", interval)
 
     def _tared(self, table: Table, tare: float | slice, tell: Callable[[int, int, str], None] | None) -> Table:
-        """Return the estimates of `run`, with the tare applied while every joint stays in place."""
+        """Return the estimates of `run`, with the tare applied while no joint moves."""
         plain = self.run(table, progress=tell)
         model, shift, rows = tared(self._model, self._robot, table, tare)
         rested = self._with(model).run(table.with_column("tau", table["tau"] + shift), progress=tell)
@@ -546,7 +547,7 @@ def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[n
 
 
 def _bridged(table: Table, missed: np.ndarray) -> np.ndarray:
-    """Return the time (N,) of each row since the last valid row."""
+    """Return the time (N,) from the last valid row to each row."""
     rows, dt = np.arange(len(table)), np.array(table.dt)
     last = np.concatenate([[-1], np.maximum.accumulate(np.where(missed, -1, rows))[:-1]])
     after = ~missed & (last >= 0) & (last < rows - 1) & (dt > 0)

@@ -9,7 +9,7 @@ G = `Robot.coupling`.
 
 The first argument is a `Robot` with inertias, or an identified `TorqueModel`. A model contains base parameters only, so
 results that are linear in them are exact, including rotors and coupled motors but without friction. The potential
-energy of a model is zero at q = 0. The constant weight on a vertical prismatic joint is missing, because it is
+energy of a model is zero at q = 0. The constant weight on a vertical prismatic joint is omitted, because it is
 indistinguishable from a torque offset. A model from `identify.fit_gravity` supports only `gravity`. `regressor` and
 `base_regressor` need no masses.
 

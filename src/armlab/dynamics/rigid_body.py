@@ -195,8 +195,8 @@ def forward_dynamics(
 
     Raises
     ------
-    RobotError : for a robot without inertias, or if a massless link or physically inconsistent parameters make the
-        mass matrix not positive definite.
+    RobotError : for a robot without inertias, or if the mass matrix is not positive definite because of a massless link
+        or physically inconsistent parameters.
     ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
@@ -269,7 +269,7 @@ def energy(
 
 
 def _identified(robot: Any) -> TorqueModel:
-    """Return the torque model of a fit; raise for any other object."""
+    """Return the torque model of a fit; raise an error for any other object."""
     model = getattr(robot, "value", None)
     if not isinstance(model, TorqueModel):
         raise RobotError.no_robot(robot)

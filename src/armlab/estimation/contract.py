@@ -1,9 +1,9 @@
 """Statistical contract of estimators: ten properties required of every `fit_*`, tested by one function.
 
-The fit runs on many experiments with known truth, and the reported covariance C is compared with the actual errors e.
-If C is correct, the normalised estimation error squared, NEES = e^T C^-1 e, averages to the number of parameters
-(Bar-Shalom, Li and Kirubarajan 2001). The other properties concern sample order, units, error messages, files and side
-effects.
+The fit runs on many experiments with known ground truth, and the reported covariance C is compared with the actual
+errors e. If C is correct, the normalised estimation error squared, NEES = e^T C^-1 e, averages to the number of
+parameters (Bar-Shalom, Li and Kirubarajan 2001). The other properties concern sample order, units, error messages,
+files and side effects.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def consistent(trial: ContractTrial) -> Verdict:
 
 
 def honest(trial: ContractTrial) -> Verdict:
-    """The mean NEES equals its dimension, and 95 % intervals contain 95 % of the true values."""
+    """The mean NEES equals the number of identified directions, and 95 % intervals contain 95 % of the true values."""
     runs = _runs(trial, 1)
     dim = runs[0].rank
     nees = float(np.mean([r.nees / r.rank for r in runs]))
@@ -247,7 +247,7 @@ def gauge_free(trial: ContractTrial) -> Verdict:
 
 
 def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
-    """Return the largest parameter error relative to its parameter; infinity if the errors are not in parameter
+    """Return the largest relative parameter error; infinity if the errors are not in parameter
     coordinates."""
     if e.shape != fit.parameters.shape:
         return np.inf
@@ -257,7 +257,7 @@ def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
 def refuses(trial: ContractTrial) -> Verdict:
     """Data that leave a direction undetermined raise NotExcited, which names the direction."""
     if not trial.refusals:
-        return False, "no data without excitation to test with: pass refusals, or skip with a reason"
+        return False, "no data without excitation available for the test: pass refusals, or skip the test with a reason"
     wrong = []
     for words, data in trial.refusals.items():
         try:
@@ -330,7 +330,7 @@ def _nan_faults(trial: ContractTrial) -> list[str]:
                 faults.append(f"NaN in {name} raised an error that does not name the row")
         except Exception as error:  # any other exception is a finding
             faults.append(f"NaN in {name} raised {type(error).__name__}")
-    return faults if tried else ["no array of samples to test with NaN"]
+    return faults if tried else ["no array of samples available for the NaN test"]
 
 
 def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -381,7 +381,7 @@ Spoil = Callable[[dict[str, Any], np.random.Generator], tuple[dict[str, Any], np
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):
-    """Experiment with known truth, for `check_estimator`.
+    """Experiment with known ground truth, for `check_estimator`.
 
     Attributes
     ----------
@@ -415,7 +415,8 @@ class Gauge(Shown):
 class ContractLimits(Shown):
     """Acceptance limits of the contract.
 
-    For few runs, two-sided limits widen to three standard errors. One-sided limits grow by three standard errors.
+    For few runs, two-sided limits widen to three standard errors. One-sided limits are widened by three standard
+    errors.
 
     Attributes
     ----------
@@ -546,7 +547,7 @@ def check_estimator(
         if name not in PROPERTIES:
             raise UnknownName.among("property", name, PROPERTIES)
         if not reason.strip():
-            raise ConfigError(f"Expected a reason for skipping {name!r}, got an empty text. Give the reason.")
+            raise ConfigError(f"Expected a reason for skipping {name!r}, got an empty string. Give the reason.")
     accepted = limits or ContractLimits.of(runs, noise_given)
     trial = ContractTrial(fit, experiment, runs, n, seed, error, blocks or {}, gauges, refusals or {}, spoil, accepted)
     found = []

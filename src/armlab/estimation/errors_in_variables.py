@@ -91,7 +91,9 @@ def total_least_squares(
             raise ShapeError("Expected exact= or cov=, got both. Use zeros in cov for exact columns.")
         return _weighted(A, y, _covariance(cov, len(A), p + 1), robust, labels)
     if robust:
-        raise ShapeError("Expected cov= with robust=True, got no cov. Pass the covariance of good rows.")
+        raise ShapeError(
+            "Expected cov= with robust=True, got no cov. Pass the covariance of rows that are not outliers."
+        )
     return _plain(A, y, free, labels)
 
 

@@ -73,7 +73,7 @@ class Excitation(Shown):
 
     @classmethod
     def of(cls, A: np.ndarray, names: Sequence[str], max_condition: float = MAX_CONDITION) -> Excitation:
-        """Return the excitation of a design matrix; weak directions raise no error.
+        """Return the excitation of a design matrix; weak directions do not raise an error.
 
         Parameters
         ----------
@@ -185,8 +185,8 @@ def check_spread(
     """Return the excitation, or raise an error if the standard deviation along a direction exceeds its limit.
 
     In units of the limits (p,), the standard deviation along v is ``1 / |J diag(limits) v|``, where J (m, p) is the
-    whitened Jacobian of the data or its triangle. `describe` returns the name of a direction (p,), which is scaled to
-    one standard deviation, or to the limits if it is unobservable.
+    whitened Jacobian of the data or its triangular factor. `describe` returns the name of a direction (p,), which is
+    scaled to one standard deviation, or to the limits if it is unobservable.
     """
     p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
@@ -237,8 +237,8 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
 
     With the active bounds A, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``. A is optimal if every
     free z is inside and every multiplier m points inwards. Block principal pivoting exchanges all violating variables
-    at once. After ten rounds without progress, it exchanges only one variable at a time, which guarantees termination
-    (Portugal, Judice and Vicente 1994).
+    at once. After ten rounds without progress, the algorithm exchanges only one variable at a time, which guarantees
+    termination (Portugal, Judice and Vicente 1994).
     """
     if np.all((x >= lower) & (x <= upper)):
         return x
@@ -299,7 +299,8 @@ class LinearProblem:
         high = np.full(p, np.inf) if upper is None else numbers(upper, "upper bounds", ShapeError)
         if low.shape != (p,) or high.shape != (p,) or not np.all(low < high):
             raise ShapeError(
-                f"Expected {p} lower bounds below {p} upper bounds, got shapes {low.shape} and {high.shape}. "
+                f"Expected {p} lower bounds, each below the corresponding one "
+                f"of {p} upper bounds, got shapes {low.shape} and {high.shape}. "
                 "Use -inf and inf where there is no bound."
             )
         return cls(tuple(names), what, low, high, prior, max_condition)
@@ -388,7 +389,7 @@ def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
 def solve(
     problem: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
-    """Solve with the factors of the blocks `kept` (B,); class weights (G,) are estimated iteratively if None."""
+    """Solve with the factors of the `kept` blocks (B,); class weights (G,) are estimated iteratively if None."""
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)
     if weights is not None:

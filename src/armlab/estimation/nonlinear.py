@@ -64,12 +64,12 @@ class Measurement(Shown):
             raise ShapeError(
                 "Expected r (m, k), J (m, k, d), cov (k,), (k, k) or (m, k, k), k classes and sample (m,), got "
                 f"{self.r.shape}, {self.J.shape}, {given}, {len(self.classes)} and {self.sample.shape}. "
-                "This is a bug in the residual."
+                "This is a bug in the residual function."
             )
         beside = None if self.added is None else self.added.shape
         if beside not in (None, (k, k), (m, k, k)) or (beside is not None and self.cov is not None):
             raise ShapeError(
-                f"Expected added ({k}, {k}) or ({m}, {k}, {k}) in addition to estimated noise, got {beside}. "
+                f"Expected added of shape ({k}, {k}) or ({m}, {k}, {k}) in addition to estimated noise, got {beside}. "
                 "This is a bug in the residual."
             )
         if self.prior and self.cov is None:
@@ -78,7 +78,7 @@ class Measurement(Shown):
     def roots(self, sigma: dict[str, float]) -> np.ndarray:
         """Return the whitening factor: the inverse Cholesky factor of the covariance, (k, k) or (m, k, k).
 
-        For independent components, only its diagonal (k,) is returned.
+        For independent components, only the diagonal (k,) of the factor is returned.
 
         Parameters
         ----------
@@ -331,7 +331,7 @@ class _Linearised:
 
     @cached_property
     def _inverse(self) -> np.ndarray | None:
-        """Inverse of the scaled triangle, or None if nearly singular."""
+        """Inverse of the scaled triangular factor, or None if nearly singular."""
         from scipy.linalg import lapack
 
         scaled = self.R[:-1, :-1] * self.scale
@@ -409,12 +409,13 @@ class NonlinearSolution(Generic[Value]):
 
     @property
     def cov(self) -> np.ndarray:
-        """Covariance (d, d) of a step from the value, including the residual correlation if `check` detects it."""
+        """Covariance (d, d) of the error, expressed as a step from the value, including the residual correlation if
+        `check` detects it."""
         return self._uncertainty[0]
 
     @property
     def formal_cov(self) -> np.ndarray | None:
-        """Covariance without the residual correlation; None if equal."""
+        """Covariance that ignores the residual correlation; None if identical to the reported covariance."""
         return self._uncertainty[1]
 
     @property
@@ -562,7 +563,8 @@ def _with_noise(
 ) -> tuple[Descent[Value], dict[str, float]]:
     """Alternate between fitting the value and estimating the noise of the classes.
 
-    If one class would be fitted exactly, its noise would vanish; the classes then keep their initial noise ratio.
+    If one class could be fitted exactly, its noise estimate would vanish, so the classes keep their initial noise
+    ratio.
     """
     found = descend(problem, value, sigma, weight)
     mixed, pooled, first = _is_mixed(found), False, sigma

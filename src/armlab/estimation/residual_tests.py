@@ -1,10 +1,10 @@
 """Residual tests in time order, and the parameter covariance for time-correlated residuals.
 
-White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of equal sign, halves and tails
-are compared with their distribution under M, so few samples or many parameters cause no false alarms. If neighbouring
-residuals are correlated, the noise of each class is modelled as AR(1) plus white noise. Models with different
-correlation times and white fractions are averaged, weighted by their restricted likelihood (Harville 1977). Under this
-noise, the least-squares estimate has the covariance basis U^T Omega U basis^T.
+White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of equal sign, the two halves and
+the tails of the residuals are compared with their distributions under M, so few samples or many parameters cause no
+false alarms. If neighbouring residuals are correlated, the noise of each class is modelled as AR(1) plus white noise.
+Models with different correlation times and white fractions are averaged, weighted by their restricted likelihood
+(Harville 1977). Under this noise, the least-squares estimate has the covariance basis U^T Omega U basis^T.
 """
 
 from __future__ import annotations
@@ -178,7 +178,8 @@ def correlated_information(series: Series, which: Sequence[int]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Rows [U, r] (N, channels, d + 1) of one class over its samples; missing rows are zero and `there` is False."""
+    """Rows [U, r] (N, channels, d + 1) of one class over its samples; missing rows are zero, and `there` is False for
+    them."""
 
     rows: np.ndarray
     there: np.ndarray

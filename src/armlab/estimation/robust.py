@@ -33,7 +33,8 @@ SHORTEST, CORRELATION_TIMES = 0.5, 4.0  # minimum duration of a block in seconds
 
 
 def correlation_time(x: np.ndarray, dt: float) -> float:
-    """Return ``dt (1/2 + sum rho_k)`` [s] of a uniform record (N,), summed over positive pairs of rho (Geyer)."""
+    """Return the correlation time ``dt (1/2 + sum rho_k)`` [s] of a uniformly sampled record (N,), with the sum over
+    positive pairs of rho (Geyer)."""
     x = numbers(x, "a record", ShapeError)
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
         raise ShapeError(
@@ -72,7 +73,7 @@ CHUNK = 64  # resampled normal matrices held in memory
 class BlockSums(Shown):
     """Sums of the rows per time block, in the coordinates z of ``x = solution.x + solution.basis @ z``.
 
-    In these coordinates the whole problem is orthonormal, so the normal equations lose no accuracy.
+    In the coordinates z, the whole problem is orthonormal, so the normal equations lose no accuracy.
 
     Attributes
     ----------
@@ -208,7 +209,7 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     Raises
     ------
     ShapeError : fewer than 8 segments or 2 draws.
-    NotExcited : a draw does not determine every parameter.
+    NotExcited : a bootstrap sample does not determine every parameter.
 
     References
     ----------
@@ -433,7 +434,8 @@ def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator)
 
 
 def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple[float, np.ndarray]:
-    """Refit to the `size` blocks with the smallest mean squares until convergence; return the sum of squares and z."""
+    """Refit to the `size` blocks with the smallest mean squares until convergence; return the sum of squares and the
+    solution z."""
     cost, before = np.inf, None
     for _ in range(steps):
         level = _mean_square(sums, z)
@@ -472,7 +474,7 @@ def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.nd
     few = min(most, -(-(d + 1) // numbers))
 
     def refitted(kept: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit the samples `kept`; return the score, the step, the best-fitting samples, and the scales (M,)."""
+        """Fit the `kept` samples; return the score, the step, the best-fitting samples, and the scales (M,)."""
         chosen = np.isin(sample, kept)
         x = np.linalg.lstsq(J[chosen] / scale[chosen, None], -r[chosen] / scale[chosen], rcond=UNOBSERVABLE)[0]
         left = np.abs(r + J @ x)

@@ -124,7 +124,7 @@ def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def triangle(A: np.ndarray, y: np.ndarray | None = None, R: np.ndarray | None = None) -> np.ndarray:
-    """Return the triangle (w, w) of A (m, p) or ``[A y]``, stacked below R, which is overwritten."""
+    """Return the triangular factor (w, w) of A (m, p) or ``[A y]``, stacked below R, which is overwritten."""
     from scipy.linalg import lapack
 
     w = A.shape[1]

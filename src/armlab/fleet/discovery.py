@@ -129,8 +129,8 @@ class Router:
 
     Raises
     ------
-    ConfigError : a router that is not local, or connects to a remote router, has no certificates and users, so any
-        client could send commands.
+    ConfigError : a router on a non-local address, or one that connects to a remote router, lacks certificates and
+        users, so any client could send commands.
     LinkError : the port is in use.
     MissingExtra : Zenoh is not installed.
     """
@@ -146,7 +146,7 @@ class Router:
         far = [f"at {host}"] if not is_near else [f"connected to {other}" for other in connect if not is_here(other)]
         if far and not safe.is_safe:
             raise ConfigError(
-                f"Expected certificates and users for a router {far[0]}, because it forwards commands to robots, got "
+                f"Expected certificates and users for the router {far[0]}, because it forwards commands to robots, got "
                 "none. Create certificates and users with armlab bridge "
                 "certificates, then pass ca, certificate, key and users."
             )

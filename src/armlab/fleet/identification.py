@@ -122,8 +122,8 @@ def _draft(
 ) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
     """Fit the first usable logs, as many as the model needs.
 
-    Also return the names of these logs, and the reasons why the logs before and between them are unusable. Workers test
-    each log before it is read in this process, so a log that crashes its reader does not crash this process.
+    Also return the names of the fitted logs, and the reasons why the logs before and between them are unusable. Workers
+    test each log before it is read in this process, so a log that crashes its reader does not crash this process.
     """
     tried = _Tried(jobs, (robot, columns), executor, lambda: tell(0, 5, "reading the first logs"))
     wanted = DRAFT_SECONDS
@@ -168,7 +168,8 @@ class _Tried:
         return not self._waiting
 
     def of(self, wanted: float) -> list[str]:
-        """Return the names of the first logs with equal rates that last `wanted` seconds in total, or of all logs."""
+        """Return the names of the first logs with equal rates that add up to at least `wanted` seconds, or of all such
+        logs if the total is shorter."""
         while True:
             names, seconds = [], 0.0
             rates = [rate for rate, _ in self.known.values()]
@@ -189,7 +190,8 @@ class _Tried:
 
 
 def _copies(known: dict[str, str], rows: Mapping[str, str]) -> dict[str, str]:
-    """Return the reason for skipping each log with the rows of an earlier log; `known` maps row hashes to names."""
+    """Return the reason for skipping each log that repeats the rows of an earlier log; `known` maps row hashes to
+    names."""
     return {
         name: f"it repeats the rows of {known[sha256]}, which would count the same data twice"
         for name, sha256 in rows.items()

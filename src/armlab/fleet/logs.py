@@ -165,7 +165,7 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
             raise LogError(f"Expected logs in {path}, got no {', '.join(sorted(_ENDINGS))} file. Pass another folder.")
         return [(str(file), file) for file in files]
     if not path.exists():
-        raise LogError(f"Expected a log or a folder of logs, got the missing path {path}. Correct the path.")
+        raise LogError(f"Expected a log or a folder of logs, but {path} does not exist. Correct the path.")
     return [(str(path), path)]
 
 
@@ -193,7 +193,8 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
     there = [path for path in found.values() if path.exists()]
     if there and not force:
         raise ConfigError(
-            f"Expected new output files, but {len(there)} already exist, first {there[0]}. Choose another folder, or "
+            f"Expected new output files, but {len(there)} already exist, "
+            f"the first being {there[0]}. Choose another folder, or "
             "replace the files (--force)."
         )
     return found
@@ -224,7 +225,7 @@ def export(
 
     Returns
     -------
-    `Done`, which maps log names to paths; unreadable logs are skipped with a reason.
+    `Done`, which maps log names to paths; unreadable logs are skipped, and the reason is stated.
 
     Raises
     ------

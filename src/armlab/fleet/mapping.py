@@ -2,7 +2,7 @@
 
 A killed worker breaks its process pool and all jobs in it. Finished results are kept. The interrupted jobs then run one
 by one, and a job that crashes its worker again is skipped. The remaining jobs run in a new pool. Dask restarts its
-workers itself, but reports every job queued on a crashed worker as failed; these jobs also run one by one.
+workers itself, but reports every job queued on a crashed worker as failed; these jobs are also rerun one by one.
 
 `workers` provides processes on this computer or a Dask cluster.
 """
@@ -168,7 +168,7 @@ class _JobRun:
         return []
 
     def _saved(self, running: Mapping[Future[tuple[bool, Any]], str]) -> list[str]:
-        """Store results finished before the executor broke; return the names of the other jobs."""
+        """Store the results of jobs that finished before the executor broke; return the names of the other jobs."""
         lost = []
         for future, name in running.items():
             if future.done() and not future.cancelled() and future.exception() is None:

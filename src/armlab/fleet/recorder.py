@@ -32,9 +32,9 @@ _NAMES = 220  # bytes of lab and robot names; file systems allow 255, including 
 
 
 class FleetRecorder:
-    """Recorder of every robot that sends rows, as a context manager.
+    """Context manager that records every robot that sends rows.
 
-    A robot may disappear and return with different rows. Each bridge run has its own MCAP file:
+    A robot may disappear and return with a different row schema. Each bridge run has its own MCAP file:
     ``lab1-yumi_left.mcap``, then ``lab1-yumi_left-2.mcap``. Gaps in the robot's ticks reveal missing rows, which are
     listed in an event and in the summary of the file. A file that cannot be written is abandoned with a message. Any
     other error ends only the recording of the affected robot.
@@ -312,7 +312,8 @@ class RobotRecord:
             file.abandon()
 
     def _give_up(self) -> None:
-        """Abandon rows without a description; rows with the known schema belong to the same run."""
+        """Give up waiting for a description and drop the waiting rows; rows with the known schema belong to the same
+        run."""
         self.wants, self._since = False, None
         if self._is_unsure:
             self._is_unsure = False
@@ -353,7 +354,7 @@ class RobotRecord:
             self.lost += len(packed)
 
     def _open(self) -> bool:
-        """Return whether a file is open; after a failure, the next attempt is delayed."""
+        """Open a file if none is open, and return whether one is open; after a failure, the next attempt is delayed."""
         run = self._run
         if self._file is None and run is not None and time.monotonic() >= self._retry:
             try:

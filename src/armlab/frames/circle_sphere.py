@@ -96,8 +96,8 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
 
     Raises
     ------
-    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows).
-    NotExcited : too few points; points in a plane or on a small cap.
+    ShapeError : points with the wrong shape or with NaN or infinity (the message lists the rows).
+    NotExcited : too few points, or points in a plane or on a small cap.
     """
     cloud = Cloud(p, noise, 4, "sphere")
 
@@ -147,7 +147,8 @@ def _refine(
 
 
 def _check_excitation(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
-    """Return the excitation; raise if the standard deviation of the centre, radius or tilt exceeds its limit."""
+    """Return the excitation; raise an error if the standard deviation of the centre, radius or tilt exceeds its
+    limit."""
     limits = np.array([LIMIT if unit == "rad" else MAX_RELATIVE_SD * value.radius for unit in value.units])
     what = type(value).__name__.lower()
 

@@ -67,7 +67,7 @@ def build(
 
     Raises
     ------
-    ShapeError : not exactly two axes; an unknown type of feature; features less than 1e-6 rad from parallel.
+    ShapeError : not exactly two axes, an unknown type of feature, or features within 1e-6 rad of parallel.
     FrameError : axes with names other than x, y and z.
 
     Notes
@@ -82,7 +82,7 @@ def build(
     if len(axes) != 2:
         raise ShapeError(
             "Expected exactly two of x, y and z, got "
-            f"{', '.join(axes) or 'none'}. The third axis follows from these two."
+            f"{', '.join(axes) or 'none'}. The third axis follows from the two given axes."
         )
     (i, first), (j, second) = ((LETTERS.index(name), _direction(item, name)) for name, item in axes.items())
     f, g = first[0], second[0]
@@ -116,7 +116,7 @@ def build(
 def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the unit direction (3,) of a feature, and the covariance (3, 3) of its rotation in the features' frame."""
     if isinstance(item, Fit):
-        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Use the value of the fit.")
+        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Pass the value of the fit.")
     if isinstance(item, Circle):
         item = item.plane
     if isinstance(item, (Plane, Line)):
@@ -175,7 +175,9 @@ def project(item: ArrayLike | Line, onto: Plane | Line) -> np.ndarray | Line:
         return p - ((p - onto.centroid) @ onto.n)[..., None] * onto.n
     if isinstance(onto, Line):
         return onto.centroid + ((p - onto.centroid) @ onto.v)[..., None] * onto.v
-    raise ShapeError(f"Expected a Plane or a Line to project onto, got {type(onto).__name__}. Use the value of a fit.")
+    raise ShapeError(
+        f"Expected a Plane or a Line to project onto, got {type(onto).__name__}. If this is a fit, pass its value."
+    )
 
 
 @overload

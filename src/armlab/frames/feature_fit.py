@@ -85,7 +85,8 @@ def upward(
         side, least = float(n @ c), SIDE_DEVIATIONS * reach
         if not abs(side) > least:
             raise NotExcited(
-                f"Expected the {what} to be far enough from the origin to determine its side, got a distance of "
+                f"Expected the {what} to be far enough from the origin "
+                "to determine on which side it lies, got a distance of "
                 f"{abs(side):.2g} m with a standard deviation of {reach:.2g} m. Pass toward= (a point on the desired "
                 "side) or normal=.",
                 [f"side of the {what}"],
@@ -192,7 +193,7 @@ def circles(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return squared distances (S, N) from the spheres through sets (S, 4, 3)."""
+    """Return squared distances (S, N) from the spheres through point sets (S, 4, 3)."""
     edges = sets[:, 1:] - sets[:, :1]
     volume = np.abs(np.linalg.det(edges)) > 1e-12 * np.linalg.norm(edges, axis=2).prod(axis=1)
     squares = np.full((len(sets), len(p)), np.nan)

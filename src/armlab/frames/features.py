@@ -1,7 +1,7 @@
 """Planes, lines, circles and spheres as values with unit directions.
 
-A fitted feature has a covariance of its small errors, in the order of its `names`. A constructed feature has no
-covariance and is exact.
+A fitted feature has the covariance of its small errors, in the order of its `names`. A constructed feature is treated
+as exact and has no covariance.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Plane(Shown):
 
     def __post_init__(self) -> None:
         n, c = inputs.unit(self.n, "the normal of a plane"), inputs.vector(self.centroid, "the centroid of a plane")
-        d = number(self.d, "the distance of a plane [m]")
+        d = number(self.d, "the distance from the origin to a plane [m]")
         if not abs(n @ c - d) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
             raise ShapeError(
                 f"Expected a centroid in the plane, got a distance of {n @ c - d:.2g} m. Use Plane.of for any normal "
@@ -148,7 +148,7 @@ class Line(Shown):
         return replace(self, v=-self.v, axes=self.axes * flip[:, None], cov=cov)
 
     def moved(self, T_a_b: ArrayLike) -> Line:
-        """Transform the line from frame b to frame a, and recompute its foot.
+        """Transform the line from frame b to frame a, and recompute its point nearest to the origin.
 
         Parameters
         ----------

@@ -59,7 +59,7 @@ def marker_pose(
     Parameters
     ----------
     p : (N, K, 3) points in camera axes [m]; only invisible points may be NaN.
-    marker : (K, 3) points in marker axes [m]. Default, only for three points: computed from their median distances,
+    marker : (K, 3) points in marker axes [m]. Default (three points only): computed from their median distances,
         with the origin at point 0, x towards point 1, and point 2 at positive y.
     visible : (N, K) mask of the visible points; default: all.
     noise : standard deviation of each coordinate of a point [m]; default: estimated from the residuals of the points.
@@ -127,7 +127,7 @@ def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
         both = seen[:, i] & seen[:, k]
         if not both.any():
             raise NotExcited(
-                f"Expected frames in which points {i} and {k} are both visible, got no such frame. Pass the points of "
+                f"Expected frames in which points {i} and {k} are both visible, got none. Pass the points of "
                 "the marker.",
                 [f"distance of points {i} and {k}"],
                 ["0 frames"],

@@ -76,14 +76,15 @@ def fit_plane(
 
     Returns
     -------
-    Fit of a `Plane`
+    Result of fitting a `Plane`
         `residuals` (N,) are signed distances [m]; `cov` (3, 3) is in the order of `Plane.names`.
 
     Raises
     ------
     ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); both hints, or a hint that does
         not determine the side.
-    NotExcited : too few points; collinear points (names their direction); a plane through the origin without a hint.
+    NotExcited : too few points; collinear points (the message names their direction); a plane through the origin
+    without a hint.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 3, "plane")
     p, sigma = cloud.p, cloud.sigma
@@ -148,7 +149,7 @@ def fit_line(
     used = max(sigma or found, rounding(cloud.p))
     tilt, offset = used**2 / max(squares[0], 1e-300), used**2 / len(p)
     precision = _precision(squares[0], squares[1], used, len(p) - 2)
-    names = ("direction of the line: its points coincide, tilt about axis 1", "tilt about axis 2")
+    names = ("direction of the line (its points coincide), tilt about axis 1", "tilt about axis 2")
     excitation = _check_excitation((precision, precision), used, len(p), squares, limit, Line, names)
     v = _oriented(axes[0], p[-1] - p[0], float(np.sqrt(2.0)) * used, along)
     cov = np.diag([tilt, tilt, offset, offset])
@@ -162,7 +163,9 @@ def _oriented(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | 
     if along is not None:
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
-            raise ShapeError("Expected along= roughly parallel to the line, got a normal direction. Correct along=.")
+            raise ShapeError(
+                "Expected along= roughly parallel to the line, got a direction perpendicular to it. Correct along=."
+            )
     elif abs(side := float(v @ step)) <= SIDE_DEVIATIONS * sigma:
         raise NotExcited(
             "Expected the last point to be far enough from the first to determine the direction of the line, got "
@@ -258,7 +261,7 @@ def _report(fit: Fit[Any]) -> str:
 
 
 def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -> NonlinearSolution[Plane]:
-    """Return the most likely plane through points (N, 3) with covariances (N, 3, 3), from a start."""
+    """Return the most likely plane through points (N, 3) with covariances (N, 3, 3), starting from an initial guess."""
 
     def evaluate(value: Plane) -> list[Measurement]:
         e, root, away = _likely(p - value.centroid, value.n[None], cov)
@@ -275,7 +278,7 @@ def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -
 
 
 def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> NonlinearSolution[Line]:
-    """Return the most likely line through points (N, 3) with covariances (N, 3, 3), from a start."""
+    """Return the most likely line through points (N, 3) with covariances (N, 3, 3), starting from an initial line."""
 
     def evaluate(value: Line) -> list[Measurement]:
         e, root, away = _likely(p - value.centroid, value.axes, cov)
@@ -330,7 +333,7 @@ class OffsetCheck(Shown):
         make_read_only(self, "distances", "outliers")
 
     def text(self) -> str:
-        """Return one line with the offset, and one line per outlier."""
+        """Return a line of text with the offset, and a line per outlier."""
         lines = [f"offset {self.offset:.6g} +- {self.sd:.2g} m, noise {self.sigma:.2g} m"]
         lines += [f"point {i}: {self.distances[i] - self.offset:+.6g} m off" for i in np.flatnonzero(self.outliers)]
         return "\n".join(lines)
@@ -367,7 +370,8 @@ def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> O
     kept = inliers(p, 1, 1, through, refit, sigma, "distance")
     if kept.sum() < 2:
         raise NotExcited(
-            f"Expected at least 2 points at a common distance, got {int(kept.sum())}. Measure more points.",
+            "Expected at least 2 points at a common distance from "
+            f"the plane, got {int(kept.sum())}. Measure more points.",
             ["offset"],
             [f"{int(kept.sum())} points"],
         )

@@ -52,7 +52,7 @@ class Graph:
 
         Parameters
         ----------
-        a, b : names of two frames, letters and digits only, as in ``T_a_b``. New names are added.
+        a, b : names of two frames, letters and digits only, as in ``T_a_b``. New names are added to the graph.
         T_a_b : (4, 4) pose of b in a [m].
         cov : (6, 6) covariance of the pose error [v; w], v along the axes of a [m], w along the axes of b [rad].
         source : origin of the pose, for reports.
@@ -83,7 +83,8 @@ class Graph:
 
         Raises
         ------
-        FrameError : an unknown name (lists the known names), or two frames without a path (names both).
+        FrameError : an unknown name (the message lists the known names), or two frames without a path (the message
+        names both).
         """
         _require_known((a, *via, b), self.names)
         if not via:
@@ -329,7 +330,7 @@ class FrameSet(Shown):
 
         Raises
         ------
-        FrameError : an unknown name (lists the known names).
+        FrameError : an unknown name (the message lists the known names).
         """
         _require_known((a, b), self.names)
         return se3.inv(self.T[self.names.index(a)]) @ self.T[self.names.index(b)]

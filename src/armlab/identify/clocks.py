@@ -8,7 +8,8 @@ A column with delay T lags the motion by T. The estimate minimises ``sum_i w_i l
 of the column, with R_i the residual power of the regression for joint i. The weight w_i is the second derivative of log
 R_i divided by the variance of the first derivative. This variance is estimated from the scatter between blocks of half
 a second, so slow torque errors hardly affect the delay. The variance of the delay is the inverse of the weighted second
-derivative, or the scatter of the joints' delays if that is larger, with a Student's t factor for few joints.
+derivative, or, if larger, the scatter of the joints' delays, multiplied by a Student's t factor if there are few
+joints.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Clock:
 
     @property
     def pieces(self) -> list[int]:
-        """First row of each segment without a gap of more than `BRIDGED` rows, followed by the number of rows."""
+        """First row and number of rows of each segment without a gap of more than `BRIDGED` rows."""
         return _pieces(self.index)
 
     @property
@@ -162,7 +163,7 @@ class Delay:
     sd: float
 
     def matters(self, period: float) -> bool:
-        """Return whether the delay is known and exceeds half a period [s]."""
+        """Return whether the delay is significant and exceeds half a period [s]."""
         return abs(self.seconds) > max(SURE * self.sd, LEAST * period)
 
 

@@ -299,14 +299,14 @@ def _nearest(
 
 
 def _solve(cvxpy: Any, problem: Any) -> None:
-    """Solve the program; raise an error if there is no solution."""
+    """Solve the optimisation problem; raise an error if there is no solution."""
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)  # SOLVER sets the accuracy
             problem.solve(solver="CLARABEL", **SOLVER)
     except cvxpy.SolverError as error:
         raise NotConverged(
-            f"Expected parameters near the fit, got no solution: {error}. Try another strength."
+            f"Expected physically consistent parameters near the fit, got no solution: {error}. Try another strength."
         ) from None
     if problem.status not in ("optimal", "optimal_inaccurate"):
         raise NotConverged(f"Expected a solution near the fit, got status {problem.status!r}. Try another strength.")

@@ -9,7 +9,7 @@ Five stages, in this order:
    The torque is divided by torque gains, which differ from 1 by a few percent per joint. The gains are fitted before
    and after stage 3.
 3. Friction structure: for each joint, the type and width of the sign function of friction, the Stribeck speed and the
-   friction terms are selected on held-out blocks with a fixed rigid part (`identify.friction_structure`).
+   friction terms are selected on held-out blocks with the rigid-body parameters fixed (`identify.friction_structure`).
 4. Solution: all linear parameters are fitted by least squares within physical bounds, with joints weighted by 1 / their
    residual standard deviation. The covariance comes from a block bootstrap, because the formal covariance is far too
    small for coloured residuals. Friction drift and the uncertainty of the friction structure are added
@@ -199,7 +199,8 @@ def _check_slow(data: Record, robot: Robot) -> None:
     if len(fast):
         listed = ", ".join(f"{robot.joint_names[i]} ({acceleration[i]:.2g})" for i in fast)
         raise ShapeError(
-            f"Expected slow motion with accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}. Inertia "
+            f"Expected slow motion with accelerations below {SLOW:g} rad/s^2 "
+            f"or m/s^2, got higher accelerations for {listed}. Inertia "
             "would be fitted as gravity. Use fit_dynamics for this log, or record a slower motion."
         )
 
@@ -281,8 +282,8 @@ class FitSettings:
     """Options of a fit.
 
     `tell`: progress callback (done, total, what). `joints`: joints with measured torque; None for all. `chooser`:
-    selects the friction structure, see `Design.choose_structure`. `cutoff`: cut-off of the regression [Hz]; None
-    selects one. `force`: fit implausible torques.
+    selects the friction structure, see `Design.choose_structure`. `cutoff`: cut-off frequency of the regression filter
+    [Hz]; None selects it automatically. `force`: fit despite implausible torques.
     """
 
     what: str
@@ -302,8 +303,9 @@ class FitSettings:
         corner, most = positive(self.cutoff, "cut-off [Hz]"), data.rate / 4.0
         if corner > most:
             raise ShapeError(
-                f"Expected a cut-off of at most {most:.4g} Hz, a quarter of the sampling rate, got {corner:g} Hz. "
-                "Lower cutoff, or omit it to select a cut-off by cross-validation."
+                f"Expected a cut-off frequency of at most {most:.4g} "
+                f"Hz, a quarter of the sampling rate, got {corner:g} Hz. "
+                "Reduce cutoff, or omit it to select the cut-off by cross-validation."
             )
         return corner
 
@@ -339,9 +341,9 @@ class FitSettings:
 class FitProblem:
     """Regression with fixed nonlinear parameters, and the sums of its blocks.
 
-    `gain_cov`: (J, J) covariance of the gains. `block`: (N,) block number of each sample; `length` blocks make an
-    independent segment. `theta`: (p,) parameters at which the design was linearised. `band`: reason for the cut-off.
-    `doubts`: doubts about the torques, one sentence each.
+    `gain_cov`: (J, J) covariance of the gains. `block`: (N,) block number of each sample; `length` blocks form one
+    independent segment. `theta`: (p,) parameters at which the design was linearised. `band`: reason for the choice of
+    the cut-off frequency. `doubts`: doubts about the torques, one sentence each.
     """
 
     design: Design
@@ -522,7 +524,7 @@ def fit_of(
     band: str,
     doubts: tuple[str, ...],
 ) -> Fit[TorqueModel]:
-    """Return the fit of a model: parameters in their units, repairs, and doubts."""
+    """Return the fit of a model, with parameters in their units, notes and doubts."""
     late = tuple(delay_text(name, delay) for name, delay in design.data.delays.items())
     corner = f"regression below {design.decimation.cutoff:g} Hz ({band})"
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)

@@ -416,7 +416,7 @@ def _fourier(
 
 
 def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the quintic window, which is 0 at both ends and 1 between the ramps, with two derivatives."""
+    """Return the quintic window, which is 0 at both ends and 1 between the ramps, with its first two derivatives."""
     ramp = min(RAMP, seconds / 2)
     rising = t < seconds / 2
     w, wd, wdd = quintic_step(np.where(rising, t, seconds - t) / ramp)
@@ -489,7 +489,7 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
     Raises
     ------
     UnknownName : the joint does not exist.
-    ShapeError : a posture outside the limits, a joint without speed limit, or a range that is too short.
+    ShapeError : a posture outside the limits, a joint without a speed limit, or a range that is too short.
 
     References
     ----------

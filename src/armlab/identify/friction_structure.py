@@ -58,7 +58,8 @@ class FrictionColumns:
         return z
 
     def columns(self, s: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 4 + S) for a friction sign s (N, J): SIGNED, then Stribeck at S speeds (S, J)."""
+        """Return the columns (M, J, 4 + S) for a friction sign s (N, J): the SIGNED columns, then the Stribeck columns
+        at S speeds (S, J)."""
         made_of = [FRICTION_TERMS[name].column for name in SIGNED]
 
         def made(a: int, b: int) -> np.ndarray:

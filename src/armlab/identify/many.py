@@ -1,6 +1,6 @@
-"""Fit of one model to any number of logs: a draft of the first minutes, sums for each log, and a fit to all sums.
+"""Fit of one model to any number of logs: a draft fit of the first minutes, sums for each log, and a fit to all sums.
 
-1. `fit_draft` fits the first few minutes like `fit_dynamics`. This fit determines the nonlinear parameters.
+1. `fit_draft` fits the first few minutes like `fit_dynamics`. The draft determines the nonlinear parameters.
 2. `log_sums` reduces one log to triangular factors of its rows, weighted according to their residuals from the draft.
    Logs are independent of each other, so their sums can be computed anywhere, in any order, and cached.
 3. `fit_sums` adds the sums in log order and solves the least-squares problem; the result is bit-identical regardless of

@@ -209,7 +209,8 @@ class LoadRecord:
 
 
 def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
-    """Return the indices of joints that move enough for their friction to be known; all joints if none moves enough."""
+    """Return the indices of joints that move enough for their friction to be determined; all joints if none moves
+    enough."""
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
         return np.arange(robot.n)  # `prepare` raises
     ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])
@@ -351,7 +352,8 @@ def fit_payload(
 
 
 def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, seconds: float) -> LinearSolution:
-    """Return the Huber estimate of the first p parameters for fixed gains minus 1 (n,) and other parameters (10,)."""
+    """Return the Huber estimate of the first p parameters for given values of the gains minus 1 (n,) and of the other
+    parameters (10,)."""
     block = record.blocks(seconds)
     check_blocks(block[-1] + 1, seconds, record.data)
     A = (1.0 + gains)[:, None] * record.A
@@ -458,8 +460,8 @@ def _notes(
         notes.append(f"load at a bound (m >= 0, centre within {FARTHEST} m); without bounds, m = {free[0]:.4g} kg")
     if len(theta) == 10 and inertia.principal_moments(load.pi).min() < -3.0 * sd[4:].max():
         notes.append(
-            "the inertia is not physically consistent; identify.physically_consistent_load returns the nearest "
-            "consistent load; or use mode static"
+            "the inertia is not physically consistent: use the nearest "
+            "consistent load (identify.physically_consistent_load) or mode static"
         )
     if gain_sd:
         percent = "  ".join(f"{100 * g:+.1f}" for g in gains)

@@ -39,7 +39,7 @@ def check_signs(survey: Survey, used: np.ndarray) -> list[str]:
 
 
 def _gives_power(survey: Survey, i: int) -> bool:
-    """Return whether the friction of joint i drives the joint with statistical significance."""
+    """Return whether the identified friction of joint i is significantly negative, so that it drives the joint."""
     F, y, qd = survey.friction(i), survey.tau[survey.rows, i], survey.qd[:, i]
     slope, sd = _slope(F, y, survey.columns(i), F.T @ qd / max(float(np.abs(qd).sum()), 1e-12))
     return slope < -max(CERTAIN * sd, SMALL * float(np.std(y)))
@@ -57,7 +57,8 @@ def _slope(X: np.ndarray, y: np.ndarray, others: np.ndarray, of: np.ndarray) -> 
 
 
 def mass_factors(survey: Survey, robot: Robot, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ratio (n,) of measured torque to torque from the robot file's masses, and its SD; NaN if unknown."""
+    """Return the ratio (n,) of measured torque to the torque computed from the masses in the robot file, and its SD;
+    NaN if unknown."""
     factors = np.full((2, len(used)), np.nan)
     if robot.inertias is None:
         return factors[0], factors[1]
@@ -140,7 +141,8 @@ def raise_unless(force: bool, said: list[str], fault: bool) -> tuple[str, ...]:
 
 
 def check_torques(data: Record, robot: Robot, used: np.ndarray, force: bool) -> tuple[str, ...]:
-    """Return doubts about the torques of the selected joints (n,); raise an error for a wrong sign or unit."""
+    """Return warnings about implausible torques of the selected joints (n,); raise an error for a wrong sign or
+    unit."""
     survey = Survey.of(data, robot)
     signs = check_signs(survey, used)
     if signs:

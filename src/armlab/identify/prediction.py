@@ -79,8 +79,9 @@ class Extrapolation(Shown):
 def extrapolation(model: TorqueModel | Fit[TorqueModel], table: Table) -> Extrapolation:
     """Compare a log with the training data of `model`.
 
-    Warns about joints with more than 5 % of the samples outside the trained positions or speeds. Also warns if the
-    share of standstill is more than three times, and the longest standstill more than twice, that of the training data.
+    Warns about joints with more than 5 % of the samples outside the trained positions or speeds. Also warns if,
+    compared with the training data, the fraction of time at rest is more than three times as large and the longest rest
+    more than twice as long.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ class Record:
         return float(sum(self.t[b - 1] - self.t[a] for a, b in self.segments))
 
     def filter(self, x: np.ndarray, cutoff: float) -> np.ndarray:
-        """Filter (N, ...) with zero phase within each segment; torque and regressor share the filter."""
+        """Filter (N, ...) with zero phase within each segment; torque and regressor use the same filter."""
         from scipy.signal import butter, sosfiltfilt
 
         out, sections = np.empty_like(x), butter(ORDER, cutoff / (self.rate / 2), output="sos")
@@ -283,7 +283,7 @@ def _in_pieces(edges: list[int]) -> ShapeError:
     """Return the error for a log that has only short segments."""
     return ShapeError(
         f"Expected segments of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
-        f"{len(edges) - 2} gaps in {edges[-1]} rows, the longest segment with {int(np.diff(edges).max())} samples. "
+        f"{len(edges) - 2} gaps in {edges[-1]} rows, and a longest segment of {int(np.diff(edges).max())} samples. "
         "Record the log again."
     )
 
@@ -442,7 +442,7 @@ class Survey:
 
 
 def survey_rows(data: Record) -> np.ndarray:
-    """Return rows (M,) of a record for which every shift of a delay stays within the segment."""
+    """Return the rows (M,) of a record that stay within their segment for every delay shift."""
     first, last = shifts_of(data.rate)
     every = max(1, round(data.rate / SURVEY_RATE), len(data.t) // SURVEY_ROWS)
     return np.concatenate([np.arange(a - first, b - last, every) for a, b in data.segments]).astype(int)
@@ -534,7 +534,7 @@ def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None 
 
 
 def _median(x: np.ndarray, data: Record) -> np.ndarray:
-    """Return the median (N, n) of the nine samples around each sample; the ends of a segment are repeated."""
+    """Return the median (N, n) of the nine samples around each sample; the end samples of a segment are repeated."""
     from scipy.ndimage import median_filter
 
     return np.concatenate([median_filter(x[a:b], size=(WINDOW, 1), mode="nearest") for a, b in data.segments])

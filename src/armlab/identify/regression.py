@@ -3,11 +3,12 @@
 All joints share the base-parameter columns. Each joint has its own columns: viscous, Coulomb and offset; Stribeck, root
 and load if selected (`armlab.identify.friction_structure`). With known gears, each joint also has the cosine and sine
 of the ripple line at twice the gear ratio, because strain-wave gears engage twice per input revolution. Robot files
-without gears imply a ratio of 1. A ripple line at this ratio would be a harmonic of gravity, so `fit_dynamics` searches
-the residual for lines instead.
+without gears imply a gear ratio of 1. A ripple line at this ratio would be a harmonic of gravity, so `fit_dynamics`
+searches the residual for lines instead.
 
 A motor that drives several joints, as in many wrists, adds three shared columns. The motor angle is ``theta = c q``;
-the motor's inertia and its viscous and Coulomb friction act on all these joints, ``tau = c^T f(theta)``.
+the motor's inertia and its viscous and Coulomb friction act on every joint that the motor drives, ``tau = c^T
+f(theta)``.
 
 All columns are filtered and decimated in blocks, because the full-rate regressor of a whole record does not fit into
 memory.
@@ -58,10 +59,10 @@ SMOOTH = 0.02  # rad/s, width of the smooth sign of coupled motors
 class RegressionColumns:
     """Regression columns of J joints, computed from a record.
 
-    `decimation`: filter of the record and its (M,) kept rows. `joints`: (J,) joints with torque. `motors`: (K, n)
-    rows c of angles theta = c q of motors that drive several joints. `lines`: (J,) ripple lines [rad/rad], or (0,)
-    without ripple columns. `load`: (N, J) torque |x| transmitted to the links, at full rate; zero before the first
-    solution.
+    `decimation`: filter of the record and the (M,) rows kept. `joints`: (J,) joints with torque. `motors`: (K, n)
+    rows c such that theta = c q is the angle of a motor that drives several joints. `lines`: (J,) ripple lines
+    [rad/rad], or (0,) without ripple columns. `load`: (N, J) torque |x| transmitted to the links, at full rate; zero
+    before the first solution.
     """
 
     data: Record
@@ -135,12 +136,13 @@ class RegressionColumns:
         return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 4 + S) for a sign with `delta`, `smooth` (J,), then Stribeck at speeds (S, J)."""
+        """Return the columns (M, J, 4 + S) for a friction sign with parameters `delta` and `smooth` (J,), then the
+        Stribeck columns at speeds (S, J)."""
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), speeds)
 
     def lines_are_seen(self) -> bool:
-        """Return whether the sampling rate resolves ripple in most samples; warn if not."""
+        """Return whether the sampling rate resolves the ripple in most samples; if not, issue a warning."""
         data = self.data
         share = np.mean(slow_enough(data.qd[:, self.joints], data.rate, self.cycles), axis=0)
         fast = [self.robot.joint_names[joint] for joint, seen in zip(self.joints, share) if seen < SEEN]
@@ -298,9 +300,9 @@ class Design(RegressionColumns):
     J) filtered torque divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters. `fixed`:
     (M, J, 2 or 4) linear columns: viscous, offset, and ripple with known gears. `coupled_motors`: (M, K, 3) filtered
     acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool, which of `FrictionStructure.numbers`
-    have a column. This column is the torque derivative with respect to the logarithm of the number, at the parameters
-    passed to `with_slopes`. `local`: for each joint, (M, k) joint-specific columns with derivatives last, then the
-    columns of the motors that drive the joint.
+    have a column. Each such column is the derivative of the torque with respect to the logarithm of the friction
+    parameter, at the parameters passed to `with_slopes`. `local`: for each joint, (M, k) joint-specific columns with
+    derivatives last, then the columns of the motors that drive the joint.
     """
 
     base: BaseParameters
@@ -419,7 +421,8 @@ class Design(RegressionColumns):
         return replace(self, gains=gains, tau=self.tau * self.gains / gains)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
-        """Return the design with torque derivatives with respect to the logarithms of the nonlinear parameters."""
+        """Return the design extended by the torque derivatives with respect to the logarithms of the nonlinear
+        parameters."""
         slopes = self._slopes(theta)
         power = np.sum(slopes * slopes, axis=0)
         picked = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None] if free is None else free
@@ -430,7 +433,7 @@ class Design(RegressionColumns):
         return replace(self, free=picked, local=tuple(local))
 
     def _slopes(self, theta: np.ndarray) -> np.ndarray:
-        """Return the derivatives (M, J, 2), computed by central differences."""
+        """Return the torque derivatives (M, J, 2), computed by central differences."""
         c = self._own(theta)[[COLUMNS.index(name) for name in SHAPED]].T
         up, down, wide, narrow = (
             self.structure.moved(np.tile(step, (len(self.joints), 1)))
@@ -443,13 +446,14 @@ class Design(RegressionColumns):
         return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> FrictionStructure:
-        """Return the structure after applying the steps in the parameters theta (p,), each limited to 0.5."""
+        """Return the friction structure moved by the steps in the parameters theta (p,), each clipped to 0.5."""
         steps = np.zeros(self.free.shape)
         steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
         return self.structure.moved(steps)
 
     def in_units(self, theta: np.ndarray, *covs: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return parameters (p,) and covariances (p, p) with nonlinear parameters instead of their steps."""
+        """Return parameters (p,) and covariances (p, p) with the values of the nonlinear parameters instead of their
+        logarithmic steps."""
         x, scale, at = theta.copy(), np.ones(len(theta)), self.layout.slopes
         x[at] = scale[at] = self.moved(theta).numbers[self.free]
         return x, *(cov * np.outer(scale, scale) for cov in covs)
@@ -464,7 +468,7 @@ class Design(RegressionColumns):
         return np.stack([np.hstack([A, L]) @ theta[c] for A, L, c in parts], axis=1)
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Return measured minus modelled filtered torque (M, J) [N m]."""
+        """Return the filtered torque residual (M, J), measured minus modelled [N m]."""
         return self.tau - self.model(theta)
 
     def drives(self, theta: np.ndarray) -> tuple[Friction, Ripple]:
@@ -531,9 +535,9 @@ class Design(RegressionColumns):
         chooser: Chooser = choose_here,
         again: bool = False,
     ) -> Design:
-        """Select the friction structure of each joint on held-out blocks of half a second.
+        """Select the friction structure of each joint using held-out blocks of half a second.
 
-        The base parameters in theta (p,) are fixed and determine the load of the joints. `trust`: (M, J) weights of
+        The base parameters theta (p,) are kept fixed and determine the load on the joints. `trust`: (M, J) weights of
         the rows; 0 excludes a row. `again`: start from the current structure, which was selected previously.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)

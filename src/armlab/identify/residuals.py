@@ -1,4 +1,4 @@
-"""Evaluation of a torque model along a log: residuals, friction sign, and thermal state of the drives."""
+"""Evaluation of a torque model on a log: residuals, friction sign, and thermal state of the drives."""
 
 from __future__ import annotations
 
@@ -80,7 +80,8 @@ FEWEST_SECONDS = 20  # rows needed in a second to determine its power
 
 
 def thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
-    """Return the thermal state (M, n) at rows (M,) of a record; every log starts with the state of the model."""
+    """Return the thermal state (M, n) at rows (M,) of a record; every log begins in the start state stored in the
+    model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:
         return np.zeros((len(rows), model.n))
@@ -118,7 +119,7 @@ def mean_power(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarr
 
 
 def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
-    """Return x (B,) at the middle of each second for a heat (B,) = power / reference and a time constant [s]."""
+    """Return x (B,) at the middle of each second for a heat input (B,) = power / reference and a time constant [s]."""
     from scipy.signal import lfilter
 
     keep = float(np.exp(-BIN / time))

@@ -5,7 +5,7 @@ steps on all rows:
 
     tau ~ A theta + sum_k d(A theta)/d(log s_k) log(s_k' / s_k)
 
-At convergence, the linearised estimate takes no further step, and its covariance includes the nonlinear parameters.
+At convergence, the linearised problem yields no further step, and its covariance includes the nonlinear parameters.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class GainProblem:
         return S, through, (u / d[:, None]).T / self.gain_sd if self.gain_sd else np.zeros((len(x), 0))
 
     def _normal(self, G: np.ndarray, x: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information matrix of x (p, p), and u (n, p) and d (n,) as defined above."""
+        """Return the information matrix of x (p, p), and the u (n, p) and d (n,) of the eliminated gains."""
         Gx = G @ x
         u = k[:, None] * Gx
         d = Gx @ x + (1.0 / self.gain_sd**2 if self.gain_sd else np.inf)
@@ -338,9 +338,10 @@ RIDGE = 1e-6  # relative to a column's power, in case half of the log does not d
 def covariance(
     design: Design, solution: LinearSolution, length: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariance (p, p) for known gains, the drift covariance, and the torque variance (J,) of drift.
+    """Return the covariance (p, p) for known gains, the drift covariance, and the torque variance (J,) due to drift.
 
-    `length` blocks form a segment. Drift and its torque variance refer to the change between this log and the next.
+    `length` blocks form a segment. The drift covariance and torque variance describe the change between this log and
+    the next.
     """
     drift, leaked, torque, steady = _without_drift(design, solution, length)
     drawn = block_bootstrap(BlockSums.of(steady), seed=seed, length=length).cov
@@ -350,7 +351,8 @@ def covariance(
 def _without_drift(
     design: Design, solution: LinearSolution, length: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, LinearSolution]:
-    """Return the covariances (p, p) of drift and its leakage, the drift torque variance and a drift-free solution."""
+    """Return the covariances (p, p) of the drift and of its leakage, the torque variance due to drift, and a drift-free
+    solution."""
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
@@ -379,7 +381,7 @@ def _time(blocks: int) -> np.ndarray:
 def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tuple[np.ndarray, ...]:
     """Return one joint's differences (2,) between the halves of the log and their variances, relative to friction.
 
-    Also returns the parameter changes (p, 2) for a unit change, the leakage of a zero-mean linear drift into the
+    Also return the parameter changes (p, 2) for a unit change, the leakage of a zero-mean linear drift into the
     solution, and the mean square torque (2,) for a unit change.
     """
     factors, columns, x = solution.factors, solution.factors.columns[i], solution.x

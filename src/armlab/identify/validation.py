@@ -36,7 +36,7 @@ FAST = 0.1  # rad/s: above this speed, the friction bound covers the model error
 def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple[np.ndarray, np.ndarray]:
     """Return causal residuals (N, n) on held-out rows, and the motion mask (N, n).
 
-    A joint is in motion once it has slid far enough since its last reversal or rest for its friction to be known.
+    A joint is in motion once it has slid far enough since its last reversal or rest to determine its friction.
     """
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
@@ -84,13 +84,13 @@ def assess(
     The torque variance `drift` (J,) due to friction changes between logs is added to the covariance; this error is
     constant within a log, so no filter averages it. Covariance and scale are fitted to one half of the segments and
     validated on the other half, in both directions. The model stores the values fitted to all segments. Joints without
-    measured torque have no quality figures, and a standard deviation so large that estimators ignore them. If an
-    earlier model `before` is given, joints at rest keep the quality figures of that model.
+    measured torque have no quality figures, and are assigned a standard deviation so large that estimators ignore them.
+    If an earlier model `before` is given, joints at rest keep the quality figures of that model.
 
-    The estimator adds the torque variance due to parameter uncertainty, insofar as it exceeds its mean over this
+    The estimator adds the part of the torque variance due to parameter uncertainty that exceeds the mean over this
     record. Held-out errors already contain this part of the variance. The covariance is therefore fitted to errors
-    divided by ``sqrt(1 + r)``. The factor r is chosen such that both variances together cover as many errors of the
-    joint as a covariance fitted to all errors.
+    divided by ``sqrt(1 + r)``. The factor r is chosen so that the two variances together cover the same share of the
+    joint's errors as a covariance fitted to all errors.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -137,7 +137,8 @@ def assess(
 
 
 def _share(errors: np.ndarray, beyond: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Return r (n,) for which the covariance / (1 + r), plus `beyond`, covers as many errors as the original."""
+    """Return r (n,) such that the covariance / (1 + r), plus `beyond`, covers as many errors as the original
+    covariance."""
     variance, ratio = _covariance(errors, qd, moving).variance(qd), np.zeros(len(moving.T))
     for i, rows in enumerate(moving.T):
         if beyond[rows, i].any():
@@ -207,7 +208,8 @@ def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
         listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
         raise NotExcited(
             f"Expected every joint to slide beyond its presliding distance in at least {2 * FEWEST} rows, evenly over "
-            f"the log, got fewer for {listed}, so errors in motion cannot be assessed. Let these joints move further "
+            f"the log, got fewer rows for {listed}, so errors in "
+            "motion cannot be assessed. Let these joints move further "
             "between reversals.",
             names,
             spread,
@@ -367,7 +369,8 @@ def _fit_constant(e: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Try every sample as the threshold (variances have closed forms); return log parameters and information."""
+    """Try every sample as the threshold (variances have closed forms); return the logarithms of the parameters and
+    their information matrix."""
     order = np.argsort(speed)
     speed, power = speed[order], np.cumsum(e[order] ** 2)
     slow = np.arange(max(FEWEST_BELOW, int(SLOWEST * len(e))), int(FASTEST * len(e)))  # samples below the threshold
@@ -396,8 +399,9 @@ def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _misplaced(ratio: float) -> float:
     """Return the variance of the number of samples on the wrong side of the threshold, given the ratio of variances.
 
-    The variance is ``1 + 6.5 / (L1 L2)``, with L1 and L2 the expected loss of likelihood per sample on the wrong side.
-    For small losses, this formula is the limit law of a change point; for large losses, it gives one sample.
+    The variance is ``1 + 6.5 / (L1 L2)``, where L1 and L2 are the expected losses of log likelihood per sample on the
+    wrong side of the threshold. For small losses, this formula is the asymptotic law of a change-point estimate; for
+    large losses, it gives one sample.
     """
     log = np.log(ratio)
     losses = 0.25 * (ratio - 1.0 - log) * (1.0 / ratio - 1.0 + log)
@@ -528,7 +532,7 @@ def _runs(
     filters: bool,
     drift: np.ndarray | float = 0.0,
 ) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
-    """Yield, segment by segment, the estimates of the folds on their held-out rows, and these rows.
+    """Yield, segment by segment, the estimates of each fold on its held-out rows, together with these rows.
 
     The filter receives the known wrench and, in each segment, a constant torque error of variance `drift` (n,).
     """
@@ -554,7 +558,8 @@ def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
 
 
 def _factor(ratios: list[np.ndarray]) -> float:
-    """Return the covariance factor for which `COVERAGE` of the ratios are below SIGMAS^2; 1 without ratios."""
+    """Return the covariance factor for which a fraction `COVERAGE` of the ratios is below SIGMAS^2; 1 if there are no
+    ratios."""
     known = np.concatenate([np.zeros(0), *(part.ravel() for part in ratios)])
     return float(np.clip(np.quantile(known, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if known.size else 1.0
 

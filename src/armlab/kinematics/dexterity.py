@@ -40,8 +40,9 @@ class Ellipsoid(Shown):
     Attributes
     ----------
     axes : (..., 3, 3) directions of the semi-axes as columns, in base axes, right-handed; signs are arbitrary.
-    lengths : (..., 3) lengths of the semi-axes. Velocity: m/s or rad/s per unit of joint speed, longest first. Force: N
-        or N m per unit of joint torque, shortest first; infinite in directions that load only the structure.
+    lengths : (..., 3) lengths of the semi-axes. Velocity ellipsoid: m/s or rad/s per unit of joint speed, longest
+        first. Force: N or N m per unit of joint torque, shortest first; infinite in directions that load only the
+        structure.
     """
 
     axes: np.ndarray
@@ -54,9 +55,10 @@ class Ellipsoid(Shown):
 def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
     """Return the singular values (..., min(m, n)) of the Jacobian, or of its rows for one part of the twist.
 
-    ``J = U diag(s) V^T`` with descending s; J has m = 6 rows for the pose, and 3 rows for a part. ``s[..., -1]`` is the
-    smallest tool speed per unit of joint speed over all directions. It equals the distance to the nearest singular
-    Jacobian and is 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is the condition number.
+    ``J = U diag(s) V^T`` with descending s; J has m = 6 rows for the pose, and 3 rows for position or rotation only.
+    ``s[..., -1]`` is the smallest tool speed per unit of joint speed over all directions. The smallest singular value
+    equals the distance to the nearest singular Jacobian and is 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is
+    the condition number.
 
     Parameters
     ----------
@@ -78,8 +80,8 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
     ``w = sqrt(det(J J^T))``, the product of the singular values, is 0 in singular postures. If the arm has fewer joints
     n than the part has rows, this determinant is 0 in every posture. The result is then ``w = sqrt(det(J^T J))``, the
-    volume within the n directions in which the joints can move the tool. It is computed by an orthogonal factorisation
-    of J, and is therefore accurate to the rounding error of J near singular postures.
+    volume within the n directions in which the joints can move the tool. The manipulability is computed by an
+    orthogonal factorisation of J, and is therefore accurate to the rounding error of J near singular postures.
 
     Parameters
     ----------
@@ -134,8 +136,8 @@ def ellipsoid(
 ) -> Ellipsoid:
     """Return the velocity or force ellipsoid of the tool, in base axes.
 
-    ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the part. The
-    two ellipsoids share their axes and have reciprocal lengths, so directions of high speed have low force.
+    ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the selected part.
+    The two ellipsoids share their axes and have reciprocal lengths, so directions of high speed have low force.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def ellipsoid(
     Raises
     ------
     UnknownName : if `part` or `kind` is unknown.
-    ShapeError, RobotError : as in `singular_values`.
+    ShapeError, RobotError : the causes listed for `singular_values`.
     """
     if not isinstance(part, str) or part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
@@ -223,9 +225,9 @@ def self_motion(
     robot : an arm with more joints than the task needs.
     q : (n,) start posture, inside the limits [rad or m].
     direction : 1 or -1 for a one-dimensional self-motion: 1 moves the fastest joint in its positive direction.
-        Alternatively, (n,) joint velocities, which are projected onto the null space. Or a function of the joint
-        positions that returns the gradient (n,) of an objective, for example the manipulability; the motion then
-        ascends to the optimum.
+        Alternatively, (n,) joint velocities, which are projected onto the null space. Alternatively, a function of the
+        joint positions that returns the gradient (n,) of an objective, for example the manipulability; the motion then
+        climbs to the optimum.
     length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
     points : number of evenly spaced points over the whole length, including both ends, 2 to 1 000 000.
     task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.
@@ -300,7 +302,8 @@ class _Curve:
         return q, along / np.linalg.norm(along)
 
     def step(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float, str]:
-        """Return the next point of the self-motion, its tangent, the distance moved, and "length" or the end reason."""
+        """Return the next point of the self-motion, its tangent, the distance moved, and "length" or the reason for the
+        end."""
         if self.climbs:
             uphill = self.projected(q, self.gradient(q))
             tangent = uphill / max(float(np.linalg.norm(uphill)), 1e-300)

@@ -24,8 +24,8 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., 4, 4) output array; default: newly allocated. Reusing an array saves a third of the time of large
-        batches.
+    out : (..., 4, 4) output array; default: newly allocated. Reusing an array saves a third of the computing time for
+        large batches.
     threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Raises
@@ -168,7 +168,8 @@ def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
 
     The tool twist due to frame j is ``J[..., j, :] @ [v; w]``. With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)``,
     the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and rotates by ``R_j w``. Rows
-    are [v; w] at the tool point in base axes. The position of joint j + 1 acts as w_z (prismatic: v_z) of frame j.
+    are [v; w] at the tool point in base axes. The position of joint j + 1 has the same effect as w_z (prismatic: v_z)
+    of frame j.
 
     Parameters
     ----------

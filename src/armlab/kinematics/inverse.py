@@ -15,9 +15,9 @@ from armlab.robots import Robot
 REASONS = ("solved", "out of reach", "limits", "singular", "iterations", "bound")
 _TEXTS = np.array(REASONS)
 _EXPLANATIONS = {
-    "out of reach": "no start reduced the error further, with or without the limits of revolute joints",
+    "out of reach": "no initial guess reduced the error further, with or without the limits of revolute joints",
     "limits": "only postures outside the joint limits reach the goal",
-    "singular": "the only start ended at a singular posture, where no joint reduces the error",
+    "singular": "the only start ended at a singular posture, where no joint motion reduces the error",
     "iterations": "the error was still falling at the iteration limit",
     "bound": "every joint has moved by its largest allowed step from the start",
 }
@@ -84,8 +84,8 @@ def inverse(
 
     Returns
     -------
-    IkSolution, whose arrays have the batch shape. For unsolved goals, it contains the posture with the smallest error
-    and the reason.
+    IkSolution, whose arrays have the batch shape. For unsolved goals, the result contains the posture with the smallest
+    error and the reason.
 
     Raises
     ------

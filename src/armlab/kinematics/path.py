@@ -1,4 +1,4 @@
-"""Inverse kinematics along a path of poses on one branch, with detours of redundant arms around breaks."""
+"""Inverse kinematics along a path of poses on one branch, with detours around breaks for redundant arms."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def inverse_path(
 ) -> IkPath:
     """Return joint positions that move the tool through a sequence of poses on one branch.
 
-    Every pose is solved as in `inverse`, starting from the previous row plus its last step. The arm therefore stays on
+    Each pose is solved as in `inverse`, starting from the previous row plus the last step. The arm therefore stays on
     its branch, and keeps its direction of motion through singular postures. Near singular postures, damping and the
     step limit bound the joint motion; if the descent stalls, it restarts from random postures around the previous row.
     If the path breaks, `reason` states the cause. The path then continues on the same branch, or on a different branch
@@ -169,7 +169,8 @@ def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | No
 
 
 class Rows(NamedTuple):
-    """Kernel result: postures (N, n), errors (N, 3), and integers (N, 3): steps, status, whether the branch changed."""
+    """Kernel result: postures (N, n), errors (N, 3), and integers (N, 3): steps, status, and whether the branch
+    changed."""
 
     q: np.ndarray
     errors: np.ndarray
@@ -206,7 +207,8 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
-    """Return the detour up to row k that can be continued furthest beyond row k; it begins where it leaves the path."""
+    """Return the detour to row k that can be continued furthest beyond row k; the detour begins at the row where it
+    leaves the path."""
     best, furthest, seen = None, -1, []
     before = slice(k - 1, max(0, k - LOOK_BACK) - 1 if k > LOOK_BACK else None, -1)
     for q in solutions[0][solutions[1]]:

@@ -27,7 +27,8 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 
 
 def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
-    """Raise an error unless the leading axes of the arguments (array, number of axes of one element) broadcast."""
+    """Raise an error unless the leading axes broadcast; each argument is a pair (array, number of axes of one
+    element)."""
     try:
         np.broadcast_shapes(*(value.shape[: value.ndim - axes] for value, axes in arguments.values()))
     except ValueError:

@@ -60,7 +60,7 @@ def vee(X: ArrayLike) -> np.ndarray:
 
     Parameters
     ----------
-    X : (..., 4, 4), with a skew upper left block and zeros in the last row.
+    X : (..., 4, 4), with a skew-symmetric upper-left block and zeros in the last row.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def ad(xi: ArrayLike) -> np.ndarray:
     """Return the matrix (..., 6, 6) of the Lie bracket: ``hat(ad(xi) eta) = hat(xi) hat(eta) - hat(eta) hat(xi)``.
 
     The matrix ``[[hat(w), hat(v)], [0, hat(w)]]`` is the derivative of `adjoint`: ``expm(ad(xi)) = adjoint(exp(xi))``.
-    Its negative transpose acts on wrenches.
+    The negative transpose of the matrix acts on wrenches.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def mean(
 ) -> np.ndarray:
     """Return the mean pose (..., 4, 4) along axis 0: the mean position and `so3.mean` of the rotations.
 
-    The result depends on the origin of the moving frame, because positions of this origin are averaged.
+    The result depends on the origin of the moving frame, because the positions of this origin are averaged.
 
     Parameters
     ----------

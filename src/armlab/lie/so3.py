@@ -101,8 +101,8 @@ def exp(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the rotation vector (..., 3) [rad] of minimum length: ``exp(log(R)) = R``, abs(log(R)) ≤ π.
 
-    Computing it from the quaternion (w, v), ``2 atan2(abs(v), w) v/abs(v)``, preserves full precision from 1e-300 rad
-    to a half turn. At a half turn, the first non-zero component is positive.
+    Computing the rotation vector from the quaternion (w, v), ``2 atan2(abs(v), w) v/abs(v)``, preserves full precision
+    from 1e-300 rad to a half turn. At a half turn, the first non-zero component is positive.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rotation nearest to M = U S Vᵀ, and ``σ₁, σ₂, d σ₃`` with d = det UVᵀ; NaN if M is not finite.
 
-    ``σ₂ + d σ₃`` measures how well the rotation is determined; at 0, it is not unique.
+    ``σ₂ + d σ₃`` measures how well the rotation is determined; at 0, the rotation is not unique.
     """
     missing = np.asarray(~np.isfinite(M).all(axis=(-1, -2), keepdims=True))
     M = np.where(missing, np.eye(3), M)
@@ -367,7 +367,7 @@ def _length(v: np.ndarray) -> np.ndarray:
 
 
 def _turn(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return atan2 (...), or NaN if both arguments are only rounding errors."""
+    """Return atan2 (...), or NaN if both arguments are zero up to rounding errors."""
     return np.where(np.hypot(sine, cosine) < UNDEFINED, np.nan, np.arctan2(sine, cosine))[()]
 
 
@@ -378,7 +378,8 @@ def mean(
 
     The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius norm): it is the rotation nearest to the mean
     matrix. The geodesic mean minimises ``Σ weight angle(mean, R)²`` and is found by Newton steps from the chordal mean.
-    The two are equal for rotations distributed symmetrically about the mean, and nearly equal for a narrow spread.
+    The two means are equal for rotations distributed symmetrically about the mean, and nearly equal for a narrow
+    spread.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""View of all robots at a Zenoh router: arms side by side in their current posture, and states in the panel."""
+"""View of all robots at a Zenoh router: arms side by side in their current postures, and robot states in the panel."""
 
 from __future__ import annotations
 

@@ -295,7 +295,7 @@ class RunningView:
         """Return the time of a row since the first row [s], and whether it follows the last row without a gap.
 
         The time is robot time, which differs from wall time in lockstep. Gaps are measured on the monotonic clock. If
-        the clock is set back, the time restarts.
+        the clock is set back, the displayed time restarts at zero.
         """
         last, stamp = self._row, 1e-9 * row.wall_ns
         if last is None or stamp < self._stamp - _GAP:

@@ -273,7 +273,8 @@ def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
 
 
 def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], force: bool) -> Table:
-    """Add an estimated wrench if the log has none and a model of this robot (with `force`: of this name) is given."""
+    """Add an estimated wrench if the log has none and one of the models belongs to this robot (or, with `force`, to a
+    robot of the same name)."""
     model = next((model for model in models if model.robot_hash == robot.hash), None)
     if model is None and force:
         model = next((model.moved_to(robot) for model in models if model.robot_name == robot.name), None)
@@ -386,7 +387,7 @@ class Player:
         """
         t = number(t, "time to go to [s]")
         if not math.isfinite(t):
-            raise ShapeError(f"Expected a finite time to go to, got {t}. Pass 0 to {self.duration:g} s.")
+            raise ShapeError(f"Expected a finite playback time, got {t}. Pass a time from 0 to {self.duration:g} s.")
         with self._lock:
             self.t, self._stale = min(max(t, 0.0), self.duration), True
 

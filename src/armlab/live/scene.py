@@ -70,7 +70,7 @@ def bodies(robot: Robot) -> list[Trimesh]:
     """Return n + 1 shapes: the mount from base to joint 1 in base axes, and each link in its own frame.
 
     A link follows its joint axes and their common normal, as in `plots.robot`; links become thinner towards the tool. A
-    prismatic joint is a rod along its axis, as long as its stroke. The last shape includes the tool.
+    prismatic joint is drawn as a rod along its axis, as long as its stroke. The last shape includes the tool.
     """
     from trimesh.util import concatenate
 
@@ -232,7 +232,7 @@ def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
 
 
 ARROW = 0.2 / 20.0
-"""Default length of an arrow per force [m/N]."""
+"""Default arrow length per unit force [m/N]."""
 LINK_COLORS = ("#8FB4D9", "#E2BE8C")
 """Colours of the links of the first, second, ... arm."""
 TOOL_COLOR = "#C800C8"
@@ -247,7 +247,7 @@ class RobotScene:
 
     Links are capsules in the colour of their arm, joints are cylinders in the colour of their curves, and the tool
     point is a sphere with axes. The arrow is the force exerted by the environment on the robot; the ellipsoid at its
-    tip is the 2-sigma uncertainty. Both are grey while the 95 % ellipsoid contains zero.
+    tip is the 2-sigma uncertainty. The arrow and the ellipsoid are grey while the 95 % ellipsoid contains zero.
 
     `T_world_base`: pose (4, 4) of each arm's base in the world, keyed by arm name; default: the identity. The mount is
     part of the robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of force arrows
@@ -347,7 +347,7 @@ class RobotScene:
         return self.robots[name]
 
     def _surround(self) -> None:
-        """Place a floor below the arms and the camera in front."""
+        """Place a floor below the arms and the camera in front of them."""
         reach = max(arm_length(robot) for robot in self.robots.values())
         arms = zip(self._arms.values(), self.robots.values())
         bases = [(arm.T_world_base @ robot.T_base_mount)[:3, 3] for arm, robot in arms]

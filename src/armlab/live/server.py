@@ -88,8 +88,8 @@ def stop(server: ViserServer) -> None:
 def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
     """Return whether a connection comes from a page of this server or from a program other than a browser.
 
-    Web pages cannot forge these headers. The host must be a local name, because any other domain name may resolve to
-    this computer.
+    Web pages cannot forge the Origin and Host headers. The host must be a local name, because any other domain name may
+    resolve to this computer.
     """
     if not origins:
         return True

@@ -108,7 +108,7 @@ def rows_in_order(
 
 
 def _fits(array: np.ndarray, kind: str | None) -> bool:
-    """Return whether the values are valid for the kind of their column; the table handles missing values."""
+    """Return whether the values are valid for the kind of their column; missing values are handled by the table."""
     if array.dtype.kind != "f" or kind not in ("count", "flag") or not np.isfinite(array).all():
         return True
     with np.errstate(invalid="ignore"):
@@ -116,7 +116,7 @@ def _fits(array: np.ndarray, kind: str | None) -> bool:
 
 
 def _absent(array: np.ndarray, column: Column) -> bool:
-    """Return whether all values are missing; a clock that was never sent reads 0."""
+    """Return whether all values are missing; for a clock, a value of 0 means that it was never sent."""
     if array.dtype.kind == "i" and column.unit == "ns":
         return array.size > 0 and not (array > 0).any()
     return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())

@@ -22,7 +22,7 @@ KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
 class Column(Shown):
     """Description of one column.
 
-    For names in the glossary, missing attributes are taken from there. Other names require a unit.
+    For names in the glossary, missing attributes are taken from the glossary entry. Other names require a unit.
 
     Attributes
     ----------
@@ -147,7 +147,8 @@ OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
 
 
 def alias(name: str) -> str:
-    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` removed, as in the predecessor."""
+    """Return a column name with ``: . [ ]`` replaced by ``_`` and leading and trailing ``_`` removed, as in the
+    predecessor software."""
     return re.sub(r"[:.\[\]]", "_", name).strip("_")
 
 

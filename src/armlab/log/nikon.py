@@ -92,7 +92,7 @@ def read_cloud(path: str | Path) -> Cloud:
     """Read a point cloud.
 
     Numbers are separated by commas or spaces; brackets, semicolons, quotes and empty lines are ignored. The first line
-    with other content ends the cloud.
+    with other content marks the end of the cloud.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
 def _recording(
     view: memoryview, found: Contents, path: Path, clock: int, choice: Choice, progress: Progress | None
 ) -> tuple[Table, list[str]]:
-    """Return the table of the robot with this clock channel, and the damage found."""
+    """Return the table of the robot whose clock is this channel, and the damage found in the file."""
     columns = choice.columns
     sources = recorded.sources_of(found, clock)
     wanted = list(sources) if columns is None else list(columns)
@@ -238,7 +238,8 @@ def _source_of(missing: Sequence[str], table: Table, robot: Robot, mapped: bool)
     else:
         way = "Pass a log of the joints; armlab log show lists its columns"
     return (
-        f"{way}; for a log from another program, pass their names: --columns q=NAME_{{1..6}},tau=NAME_{{1..6}}, or a "
+        f"{way}; for a log from another program, pass the column "
+        f"names: --columns q=NAME_{{1..6}},tau=NAME_{{1..6}}, or a "
         "preset, --columns ur, franka or ros."
     )
 
@@ -263,7 +264,7 @@ def in_order_of(robot: Robot, table: Table, path: Path) -> Table:
 
 
 def _is_of_several(path: Path, robot: Robot, force: bool) -> bool:
-    """Return whether a recording holds several robots; raise an error if it lacks this robot."""
+    """Return whether a recording contains several robots; raise an error if the given robot is missing."""
     if not path.is_file() or format_at(path) != "MCAP":
         return False
     held = inspect(path)

@@ -398,7 +398,8 @@ class Table:
         return replace(self, values=values, columns=columns, source=source)
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame over t [s] with a column per component (q1, q2, ...); units in ``attrs["units"]``.
+        """Return a pandas DataFrame indexed by t [s], with a column per component (q1, q2, ...); units in
+        ``attrs["units"]``.
 
         Raises
         ------
@@ -433,7 +434,7 @@ class Table:
     def to_xarray(self) -> Any:
         """Return an xarray Dataset over the coordinate t [s]; columns keep their shape, with attributes unit and frame.
 
-        Axes of a row are named after the column; named joints become coordinates.
+        The dimensions of a row are named after its column; joint names become coordinates.
 
         Raises
         ------
@@ -510,13 +511,13 @@ def _check_clock(t: np.ndarray) -> None:
         raise ShapeError(f"Expected times of shape (N,), got {t.shape}.")
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
-        raise ShapeError(f"Expected finite times, got {t[bad[0]]} in row {bad[0]} (in total {len(bad)} rows).")
+        raise ShapeError(f"Expected finite times, got {t[bad[0]]} in row {bad[0]} ({len(bad)} rows in total).")
     bad = np.flatnonzero(np.diff(t) <= 0)
     if len(bad):
         row = int(bad[0]) + 1
         raise ShapeError(
             f"Expected strictly increasing times, got {t[row]:.9g} s in row {row} after {t[row - 1]:.9g} s "
-            f"(in total {len(bad)} rows). Drop these rows or sort by time."
+            f"({len(bad)} rows in total). Drop these rows or sort by time."
         )
 
 
@@ -598,8 +599,8 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
         steps = np.floor(span * rate * (1 + 1e-12) + 1e-9)
         if steps > max(_MOST_ROWS, _MOST_FOR_ONE * len(table)):
             raise ShapeError(
-                f"Expected a rate of at most {_MOST_FOR_ONE} rows per recorded row, got {rate:g} Hz over {span:g} s: "
-                f"{steps:.3g} rows from {len(table)} rows. Pass the rate in hertz and t in seconds."
+                f"Expected a rate that gives at most {_MOST_FOR_ONE} rows per recorded row, got {rate:g} Hz over "
+                f"{span:g} s: {steps:.3g} rows from {len(table)} rows. Pass the rate in hertz and t in seconds."
             )
         rows = int(steps) + 1
         return np.minimum(table.t[0] + np.arange(rows) / rate, table.t[-1])

@@ -53,7 +53,7 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
 
 
 def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
-    """Return the likely unit of a position that is `times` as large as its limit."""
+    """Return the likely unit of a position that is `times` times its limit."""
     gear, found = gears(robot)[joint], []
     unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))
     if times <= 1.05 * unit[1]:
@@ -64,7 +64,7 @@ def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
 
 
 def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
-    """Raise an error if qd (N, n) of moved joints (n,) differs from the equally filtered derivative of q."""
+    """Raise an error if qd (N, n) of moved joints (n,) differs from the derivative of q, filtered in the same way."""
     power = np.sum(slope**2, axis=0) + 1e-300
     gain = np.sum(slope * qd, axis=0) / power
     norm = np.sqrt(power * np.sum(qd**2, axis=0) + 1e-300)
@@ -106,8 +106,9 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
 def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
     """Raise an error for torques (N, n) that are constant, or so small that they must be motor-side torques.
 
-    If the robot file has link masses, the torque is compared with the weight of the links, otherwise with the reach.
-    For payloads of 0.5 to 300 kg, half the torque range divided by ``g reach^4`` is 1 to 60 kg/m^3.
+    If the robot file has link masses, the torque is compared with the weight of the links; otherwise, it is compared
+    with the reach of the arm. For payloads of 0.5 to 300 kg, half the torque range divided by ``g reach^4`` is 1 to 60
+    kg/m^3.
     """
     check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
@@ -175,7 +176,7 @@ def _against_reach(tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.
     swing = 0.5 * float(np.ptp(tau[:, revolute], axis=0).max())
     if swing > LIGHT * g * reach**4:
         return None
-    return np.flatnonzero(revolute), f"at most {swing:.2g} N m on an arm of {reach:.2g} m reach"
+    return np.flatnonzero(revolute), f"at most {swing:.2g} N m on an arm with a reach of {reach:.2g} m"
 
 
 def gears(robot: Robot) -> np.ndarray:

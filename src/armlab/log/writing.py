@@ -66,7 +66,7 @@ def write(
 
     Raises
     ------
-    ConfigError : the file extension is unknown, or MCAP output has no robot.
+    ConfigError : the file extension is unknown, or no robot is given for MCAP output.
     LogError : the file cannot be written, or the format cannot hold the table.
     MissingExtra : pyarrow or h5py is not installed.
     RobotError : `robot` is not a Robot.

@@ -112,7 +112,7 @@ def _check_units(written: Any, known: Mapping[str, str]) -> None:
 
 
 def _check_texts(value: Any, path: Path) -> None:
-    """Reject a value whose sources or robot name are not strings, which [meta] requires."""
+    """Reject a value whose sources or robot name are not strings, because [meta] requires strings."""
     known = provenance("", value)
     texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
     for name, text in texts:
@@ -129,7 +129,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
         getattr(armlab, owner)  # the import registers its kinds
     if kind not in _CLASSES or version != FORMAT:
         raise ModelMismatchError(
-            f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
+            f"Expected a file of format {FORMAT} and a kind among {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
             f"{kind!r} in format {version}. Import {package}, which wrote the file, or save the file again."
         )
     with _readable(f"the fields of a {kind} at {path}", "Save the file again."):
@@ -390,7 +390,8 @@ def load(path: str | Path, kind: type[Any] | str | None = None) -> Any:
 
     Raises
     ------
-    ConfigError : if the file is missing, corrupted or has unknown fields; the message states the location in one line.
+    ConfigError : if the file is missing or corrupted, or has unknown fields; the message states the location in one
+    line.
     ModelMismatchError : if the file has a different kind, format or sign convention.
     """
     path = Path(path)

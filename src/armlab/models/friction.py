@@ -91,7 +91,7 @@ def rows_of(part: Friction | Ripple | WarmUp) -> np.ndarray:
 
 
 def _zeros() -> np.ndarray:
-    """Return a placeholder that means zero for all joints."""
+    """Return a placeholder that represents zero for all joints."""
     return np.zeros(0)
 
 
@@ -221,7 +221,7 @@ class FrictionBound(Shown):
         return cls(friction.static, np.full(n, SLOW), np.zeros(n) if floor is None else floor)
 
     def torque_at(self, qd: np.ndarray) -> np.ndarray:
-        """Return the bound (..., n) [N m] at `qd` (..., n) [rad/s]."""
+        """Return the friction bound (..., n) [N m] at `qd` (..., n) [rad/s]."""
         return self.torque * np.exp(-((np.asarray(qd, dtype=float) / self.speed) ** 2)) + self.floor
 
 
@@ -267,8 +267,8 @@ class Ripple:
 class RadialBasis:
     """Grid of centres over position and speed for all n joints; both directions of motion share the speeds.
 
-    `positions`, `position_widths`: (n, P) [rad]; positions ascend, widths are positive. `speeds`, `speed_widths`:
-    (n, S) [rad/s]; speeds ascend from above 0, widths are positive.
+    `positions`, `position_widths`: (n, P) [rad]; positions are ascending, and widths are positive. `speeds`,
+    `speed_widths`: (n, S) [rad/s]; speeds ascend from above 0, widths are positive.
     """
 
     positions: np.ndarray
@@ -314,7 +314,7 @@ class RadialBasis:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrictionMap(Shown):
-    """Friction over position and speed, in addition to `Friction`.
+    """Friction as a function of position and speed, added to `Friction`.
 
     Attributes
     ----------
@@ -362,7 +362,7 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
         raise ShapeError(
-            f"Expected at least 2 Gaussians from one speed to a higher speed, got {count} from {slowest:g} to "
+            f"Expected at least 2 Gaussians over an increasing speed range, got {count} from {slowest:g} to "
             f"{fastest:g} rad/s."
         )
     centres = np.linspace(slowest, fastest, count)

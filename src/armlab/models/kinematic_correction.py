@@ -119,7 +119,7 @@ class KinematicCorrection(Shown):
         if terms.shape != (*q.shape, L):
             raise ShapeError(
                 f"Expected joint_terms of shape {(*q.shape, L)}, got {terms.shape}. The correction was fitted with "
-                f"L = {L}: pass the same terms for these positions."
+                f"L = {L}: pass the same terms, evaluated at these positions."
             )
         return found + terms @ self.coefficients
 
@@ -194,7 +194,7 @@ class DualArmCorrection(Shown):
     Attributes
     ----------
     arm_a, arm_b : the corrected arms.
-    T_basea_baseb : (4, 4) pose of the base of b in the base of a.
+    T_basea_baseb : (4, 4) pose of the base of b in the base frame of a.
     cov : (d, d) joint covariance of the parameters of arm a, those of arm b, and the twist [v; w] of T_basea_baseb in
         its own axes.
     sources : SHA-256 and name of each log.
@@ -235,7 +235,8 @@ class DualArmCorrection(Shown):
         joint_terms_a: ArrayLike | None = None,
         joint_terms_b: ArrayLike | None = None,
     ) -> np.ndarray:
-        """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in axes of tool a, w in axes of tool b [m, rad].
+        """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in the axes of tool a, w in the axes of tool b [m,
+        rad].
 
         ``C = J cov J^T``. Unidentified directions have zero variance.
 

@@ -86,7 +86,7 @@ class ForceSensor(Shown):
 
         Raises
         ------
-        ShapeError : poses of wrong shape.
+        ShapeError : poses of the wrong shape.
         """
         R_base_tool = _poses(T_base_tool)[..., :3, :3]
         weight = (self.sign * self.mass) * (self.gravity @ (R_base_tool @ self.R_tool_sensor))
@@ -95,7 +95,8 @@ class ForceSensor(Shown):
     def contact(self, raw: np.ndarray, T_base_tool: np.ndarray, frame: Literal["base", "tool"] = "base") -> np.ndarray:
         """Return the wrench exerted by the environment on the robot at the sensor's origin.
 
-        ``[f; m] = s R (raw - unloaded)``, with R from sensor axes to the axes of `frame`, for both forces and moments.
+        ``[f; m] = s R (raw - unloaded)``, where R rotates both forces and moments from sensor axes to the axes of
+        `frame`.
 
         Parameters
         ----------
@@ -197,7 +198,7 @@ class Accelerometer(Shown):
 
         Raises
         ------
-        ShapeError : readings or poses of wrong shape, or invalid poses.
+        ShapeError : readings or poses of the wrong shape, or invalid poses.
         """
         poses, raw = np.asarray(T_base_tool, dtype=np.float64), np.asarray(raw, dtype=np.float64)
         if poses.shape[-2:] != (4, 4) or raw.shape[-1:] != (3,):
@@ -313,12 +314,12 @@ class HandEye(Shown):
 
     @property
     def T_tool_marker(self) -> np.ndarray:
-        """Marker on the tool (4, 4); eye_to_hand only."""
+        """Pose of the marker on the tool (4, 4); eye_to_hand only."""
         return self._named("T_tool_marker")
 
     @property
     def T_base_cam(self) -> np.ndarray:
-        """Fixed camera (4, 4); eye_to_hand only."""
+        """Pose of the fixed camera (4, 4); eye_to_hand only."""
         return self._named("T_base_cam")
 
     @property

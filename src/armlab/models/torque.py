@@ -4,8 +4,8 @@
 
 The error e has covariance ``C_tau = diag(s^2(qd) + doubt^2 (J^T F)^2)``. tau is the measured torque of each joint; all
 other terms are in true newton metres. F is the wrench exerted by the environment on the robot, in base axes, at the
-tool point. `link_parameters` is the minimum-norm parameter vector for the identified base parameters: it evaluates the
-model exactly, but its masses are not physical.
+tool point. `link_parameters` is the minimum-norm parameter vector for the identified base parameters: it reproduces the
+model torques exactly, but its masses are not physical.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from armlab.robots.comparison import check_same
 class CoupledMotors:
     """K coupled motors of an arm with n joints.
 
-    `ratios`: (K, n) rows c_k. `inertia`: (K,) [kg m^2]. `viscous`: (K,) [N m s/rad]. `coulomb`: (K,) [N m].
-    `smooth_speed`: (K,) [rad/s].
+    `ratios`: (K, n) with one row c_k of transmission ratios per motor. `inertia`: (K,) [kg m^2]. `viscous`: (K,) [N m
+    s/rad]. `coulomb`: (K,) [N m]. `smooth_speed`: (K,) [rad/s].
     """
 
     ratios: np.ndarray
@@ -78,8 +78,8 @@ class CoupledKernel:
 
     The acceleration is computed from the velocity change since the last valid sample, as in the kernel itself.
 
-    `kernel`: kernel with step, run and reset for a model without the motors. `gains`: (n,) ratio of measured to true
-    torque.
+    `kernel`: kernel of the model without coupled motors, with the methods step, run and reset. `gains`: (n,) ratio of
+    measured to true torque.
     """
 
     def __init__(self, kernel: Any, motors: CoupledMotors, gains: np.ndarray) -> None:
@@ -167,10 +167,10 @@ SPEED_EDGES.flags.writeable = False
 class Training:
     """Ranges of the training data of a model; its quality figures are valid only inside these ranges.
 
-    `q_min`, `q_max`: (n,) range of position [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n, 12) share
-    of samples per bin of `SPEED_EDGES`: six for negative velocities, then six for positive velocities, slowest first.
-    `rest_share`: share of samples with every joint below 1 % of its peak speed. `longest_rest`: duration of the longest
-    segment of such samples [s].
+    `q_min`, `q_max`: (n,) limits of the position range [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n,
+    12) share of samples per bin of `SPEED_EDGES`: six for negative velocities, then six for positive velocities,
+    slowest first. `rest_share`: share of samples with every joint below 1 % of its peak speed. `longest_rest`: duration
+    of the longest segment at rest [s].
     """
 
     q_min: np.ndarray
@@ -282,7 +282,8 @@ class TorqueModel(Shown):
         lengths = (*lengths, len(self.training.q_min))
         if lengths != (n,) * 5 or not 0 < self.cutoff < np.inf:
             raise ShapeError(
-                f"Expected friction, ripple, covariance, bound and training for {n} joints and a cut-off above 0 Hz, "
+                "Expected friction, ripple, covariance, bound and training "
+                f"for {n} joints and a cut-off frequency above 0 Hz, "
                 f"got {lengths} joints and {self.cutoff:g} Hz."
             )
         known = self.parameters or ParameterCovariance(np.zeros(0), np.zeros(0), np.zeros(n))
@@ -290,7 +291,7 @@ class TorqueModel(Shown):
         inside = (columns >= 0) & (columns < (11 + OF_FRICTION) * n) & (columns == np.floor(columns))
         if len(known.mean) != n or not inside.all():
             raise ShapeError(
-                f"Expected parameter columns that belong to {n} joints, got other columns. Repeat the fit."
+                f"Expected parameter columns that belong to {n} joints, got columns that do not. Repeat the fit."
             )
         _ = self.drive  # rejects terms with a different number of joints
 
@@ -350,9 +351,10 @@ class TorqueModel(Shown):
         )
 
     def check_robot(self, robot: Robot) -> None:
-        """Raise `ModelMismatchError` unless `robot` is the model's robot, or `RobotError` if it is not a robot."""
+        """Raise `ModelMismatchError` if `robot` is not the model's robot, or `RobotError` if the argument is not a
+        robot."""
         known = self._described(robot) if isinstance(robot, Robot) else None
-        advice = "A torque model is bound to one robot description: repeat the identification for this one."
+        advice = "A torque model is bound to one robot description: repeat the identification for this description."
         check_same(robot, "the torque model", self.robot_name, self.robot_hash, known, advice)
 
     def moved_to(self, robot: Robot) -> TorqueModel:
@@ -510,7 +512,7 @@ class TorqueModel(Shown):
     def contact_doubt(self) -> np.ndarray:
         """Relative standard deviation (n,) of a contact torque due to gains (without their mean) and load friction.
 
-        The residuals of the arm's own torque already include both uncertainties.
+        The residuals of the arm's own torque already include the uncertainties of the gains and of load friction.
         """
         uncertain = (np.diag(self.gain_cov) > 0).astype(float)
         apart = np.diag(uncertain) - np.outer(uncertain, uncertain) / max(uncertain.sum(), 1.0)

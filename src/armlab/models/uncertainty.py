@@ -114,9 +114,9 @@ class MomentumNoise:
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
     standard deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque
-    covariance for a 2-sigma coverage of 95.4 % on held-out data. The observer's factor is calibrated on its residual.
-    The filter's factor is at least 1 and is calibrated on its wrench estimate after a known wrench is added to the
-    torques.
+    covariance for a 2-sigma coverage of 95.4 % on held-out data. The observer's factor is calibrated on the observer
+    residual. The filter's factor is at least 1 and is calibrated on its wrench estimate after a known wrench is added
+    to the torques.
     """
 
     memory: np.ndarray

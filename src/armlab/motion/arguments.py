@@ -97,7 +97,7 @@ def clock(t: ArrayLike, end: float) -> np.ndarray:
     step = positive(times, "dt", "At 250 Hz, dt is 0.004 s.")
     if not end / MAX_SAMPLES <= step <= end * (1 + 1e-12):
         raise ShapeError(
-            f"Expected a dt [s] from {end / MAX_SAMPLES:.2g} to the duration of {end:g}, got {step:g}. At 250 Hz, dt "
+            f"Expected dt [s] between {end / MAX_SAMPLES:.2g} and the duration {end:g}, got {step:g}. At 250 Hz, dt "
             "is 0.004 s."
         )
     return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)

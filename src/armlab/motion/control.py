@@ -50,10 +50,10 @@ class JointLimits(Protocol):
 class Controller(ABC):
     """Controller of a motion, a callable ``State -> Command``; created by the `controller` method of a primitive.
 
-    It starts at rest from the measured position whenever a robot session begins. Time advances by the interval between
-    packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is not made up later.
-    After arrival, the controller keeps running, because the goal may change. The run ends after a gap of more than
-    50 ms between packets, or if the start position contains NaN; `reason` states the cause.
+    The controller starts at rest from the measured position whenever a robot session begins. Time advances by the
+    interval between packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is
+    not made up later. After arrival, the controller keeps running, because the goal may change. The run ends after a
+    gap of more than 50 ms between packets, or if the start position contains NaN; `reason` states the cause.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class Controller(ABC):
 
 
 def robots_of(robot: Arms) -> tuple[Robot, ...]:
-    """Return one or several arms as a tuple."""
+    """Return one or more arms as a tuple."""
     arms = (robot,) if isinstance(robot, Robot) else members(robot, "robot")
     for arm in arms:
         if not isinstance(arm, Robot):
@@ -246,7 +246,7 @@ def steps_in(dt: float) -> int:
 
 
 def own_steps(dt: float, pace: Pace) -> list[float]:
-    """Return the integration steps [s] on the motion's own clock for a packet after dt [s]."""
+    """Return the integration steps [s] on the motion's own clock for a packet that arrives after dt [s]."""
     parts, way = steps_in(dt), 0.5 * (pace[0] + pace[1]) * dt
     return [way / parts] * parts if way > 0.0 else []
 

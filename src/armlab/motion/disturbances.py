@@ -148,7 +148,7 @@ def simulated(
 ) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
     """Return the states (N, 5 n + 2) of a control law at times t (N,) [s], and the disturbed intervals.
 
-    Integration steps are at most `longest` [s] long and end at every event; the events may include one plant.
+    Integration steps are at most `longest` [s] long and never span an event; at most one of the events may be a plant.
     """
     scene = _EventSequence(events, law.n)
     edges = [edge for edge in scene.edges if t[0] < edge < t[-1]]

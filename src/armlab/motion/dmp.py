@@ -108,7 +108,8 @@ class Dmp(Equation, Saved, kind="dmp"):
         return clock(number(dt, "dt [s]"), self.duration if duration is None else duration)
 
     def rollout(self, t: ArrayLike, **run: Unpack[RunOptions]) -> Rollout:
-        """Run the primitive with one step per interval; steps are exact for the spring, fourth-order for the forcing.
+        """Run the primitive with one step per interval; steps are exact for the spring and of fourth order in the
+        forcing term.
 
         Omitted arguments default to the values of the demonstration. Use `solve` if the times are far apart compared
         with the kernel widths.
@@ -137,7 +138,7 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Raises
         ------
-        ShapeError, ConfigError : as in `rollout`, or scaling "rotate".
+        ShapeError, ConfigError : as in `rollout`, or if the scaling is "rotate".
         """
         own = None if weights is None else numbers(weights, "weights", ShapeError)
         if own is not None and own.shape[1:] != self.weights.shape:
@@ -265,14 +266,15 @@ MAX_ITERATIONS = 3  # iterative refinement of the last digits
 
 
 def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
-    """Return the primitive, changed as little as possible to reach given positions or velocities at given times.
+    """Return a copy of the primitive, modified as little as possible to reach given positions or velocities at given
+    times.
 
     The motion is linear in the weights, so via-points are linear constraints ``C dw = c``. Among all solutions, the
     change with the smallest ``sum |dy|^2`` over the duration is selected. A run with the start, goal and duration of
-    the demonstration passes through the points; other runs are scaled versions of this motion.
+    the demonstration passes through the via-points; other runs are scaled versions of this motion.
 
     If a velocity is prescribed at the end of the motion, the primitive does not end at rest: continue with
-    `profiles.quintic` or another primitive. Without such a continuation, the motion returns to the goal and settles
+    `profiles.quintic` or another primitive. Without a continuation, the motion returns to the goal and settles
     there.
 
     Parameters
@@ -319,7 +321,8 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
 
 
 def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Return the matrix (m, r) from residuals c to the weight change with the least ``|Y dw|`` for ``C dw = c``."""
+    """Return the matrix (m, r) that maps residuals c to the weight change with the least ``|Y dw|`` for ``C dw =
+    c``."""
     s, V = np.linalg.svd(Y, full_matrices=False)[1:]
     inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # inverse of a square root of the quadratic form
     steps = C @ inverse

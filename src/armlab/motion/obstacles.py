@@ -86,8 +86,8 @@ class AvoidingDmp(Shown):
 
     Attributes
     ----------
-    dmp : primitive, or the result of `fit_dmp`, with a time-based phase. Its coordinates are two or three positions
-        [m], or the joints of `robot`.
+    dmp : primitive, or the result of `fit_dmp`, with a time-based phase. The coordinates of the primitive are two or
+        three positions [m], or the joints of `robot`.
     obstacles : obstacles in the coordinates of the motion, or in base axes for a robot.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].
@@ -218,7 +218,7 @@ class AvoidingDmp(Shown):
         Raises
         ------
         ConfigError : no robot.
-        ShapeError : as in `stepper` and `Dmp.controller`.
+        ShapeError : the causes listed for `stepper` and `Dmp.controller`.
         """
         return AvoidingController(self, {"duration": duration, "g": g}, limits)
 
@@ -259,7 +259,9 @@ def _bodies(robot: Robot, tool: Capsule | None, links: Mapping[int, Capsule]) ->
         held[:, end] = held[:, end] @ T_link_tool[:3, :3].T + T_link_tool[:3, 3]
     wrong = [k for k in links if k not in range(1, robot.n + 1)]
     if wrong:
-        raise ConfigError(f"Expected links from 1 to {robot.n}, got {wrong[0]!r}. Use `tool` for the tool.")
+        raise ConfigError(
+            f"Expected link numbers from 1 to {robot.n}, got {wrong[0]!r}. Use the key `tool` for the tool."
+        )
     return np.array([robot.n, *links], dtype=float), np.concatenate([held, rows_of(links.values(), 3)[:, :7]])
 
 

@@ -208,7 +208,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
         Raises
         ------
-        ShapeError : wrong number of joints, a baseline outside the limits, or as in `rollout`.
+        ShapeError : wrong number of joints, a baseline outside the limits, or any cause listed for `rollout`.
         """
         return PeriodicController(robot, self, {"period": period, "g": g, "r": r, "turns": turns}, limits)
 

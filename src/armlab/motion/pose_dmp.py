@@ -244,7 +244,7 @@ class PoseRun:
 
     @property
     def turning(self) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Arguments of the orientation kernel: time constant, q0, angular velocity, goal, map of the forcing."""
+        """Arguments of the orientation kernel: time constant, q0, angular velocity, goal, forcing map."""
         return self.position.tau, self.q0, self.A @ self.rotation.v0, self.q1, self.A * self.rotation.scale
 
 
@@ -383,21 +383,22 @@ def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def orientation(value: ArrayLike, what: str) -> np.ndarray:
-    """Return unit quaternions (..., 4), with the sign that makes w of the first quaternion positive."""
+    """Return unit quaternions (..., 4), with the sign for which w of the first quaternion is positive."""
     q = numbers(value, what, ShapeError)
     if q.shape[-1:] != (4,):
         raise ShapeError(f"Expected {what} to be quaternions wxyz (..., 4), got shape {q.shape}.")
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.abs(length - 1.0) <= LENGTH):
         off = float(length.flat[np.argmax(np.abs(length - 1.0))])
-        raise ShapeError(f"Expected quaternions of norm 1 in {what}, got norm {off:.4g}. The order is wxyz.")
+        raise ShapeError(f"Expected quaternions of norm 1 in {what}, got norm {off:.4g}. The quaternion order is wxyz.")
     first = q.reshape(-1, 4)[:1].ravel()
     leading = first[np.flatnonzero(first)[:1]] if first.size and first[0] == 0.0 else first[:1]
     return q / np.where(leading.sum() < 0.0, -length, length)
 
 
 def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) of the shorter rotation from q0 to q1 in base axes; reject half a turn."""
+    """Return the rotation vector (3,) of the shorter rotation from q0 to q1 in base axes; raise an error for a rotation
+    by π."""
     way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
     if np.linalg.norm(way) > np.pi - HALF_TURN:
         raise ShapeError(
@@ -447,7 +448,7 @@ def fit_pose_dmp(
     frame: str = "base",
     hold: float = 0.3,
 ) -> Fit[PoseDmp]:
-    """Fit a movement primitive of poses to one demonstration by least squares of the motion error.
+    """Fit a pose movement primitive to one demonstration by minimising the squared motion error.
 
     The position is fitted by `fit_dmp`. The orientation is fitted by Gauss-Newton steps that minimise ``sum |log(q_demo
     q^-1)|^2``, starting from a fit to the rotation vector relative to the goal.
@@ -467,8 +468,8 @@ def fit_pose_dmp(
 
     Raises
     ------
-    ShapeError : invalid poses, NaN (with row numbers), times that do not increase, an orientation more than 3 rad from
-        the last orientation.
+    ShapeError : invalid poses, NaN (with row numbers), times that do not increase, or an orientation more than 3 rad
+        from the previous one.
     UnknownName : unknown options.
     ConfigError : schedule "position".
     NotConverged : Gauss-Newton did not converge.

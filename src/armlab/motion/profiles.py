@@ -110,7 +110,7 @@ def trapezoidal(
 
     Raises
     ------
-    ShapeError : identical points, shapes that do not match, a duration too short for the limits.
+    ShapeError : identical points, shapes that do not match, or a duration too short for the limits.
     """
     start = arguments.point(q0, "q0")
     d = arguments.second_point(q1, "q1", start) - start
@@ -156,7 +156,7 @@ def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt
 
 
 def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
-    """Join points by straight lines with quadratic blends, resting at each point.
+    """Join points by straight lines with quadratic blends, coming to rest at each point.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
 
     Raises
     ------
-    ShapeError : fewer than two points, missing values, durations of the wrong shape, `cruise` out of range.
+    ShapeError : fewer than two points, missing values, durations of the wrong shape, or `cruise` out of range.
     """
     path = arguments.points(points, "points")
     seconds = arguments.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
@@ -327,7 +327,7 @@ class Profile(Shown):
         return peaks(self.breaks, self.coefficients)[1]
 
     def at(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return q, qd, qdd (..., n) at any times; the arm rests before the start and after the end.
+        """Return q, qd, qdd (..., n) at arbitrary times; the arm rests before the start and after the end.
 
         Parameters
         ----------
@@ -365,7 +365,8 @@ Ends = tuple[np.ndarray, np.ndarray]
 
 
 def pieces(h: np.ndarray | float, q: Ends, qd: Ends | None = None, qdd: Ends | None = None) -> np.ndarray:
-    """Return coefficients (6, ..., n) of the lowest-order polynomials over h [s] between two ends."""
+    """Return the coefficients (6, ..., n) of the lowest-order polynomials of duration h [s] that satisfy the boundary
+    conditions at both ends."""
     d, zero = q[1] - q[0], np.zeros_like(q[0])
     if qd is None:
         return np.stack([q[0], d / h, zero, zero, zero, zero])
@@ -421,7 +422,7 @@ def _at(p: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks and coefficients of the same path, slowed down by the factor k."""
+    """Return the breaks and coefficients of the same path, slowed down by a factor of k."""
     return breaks * k, c / k ** LINE[:, None]
 
 

@@ -101,7 +101,7 @@ class ProMP(Saved, kind="promp"):
         return psi, rate / T
 
     def _times(self, t: ArrayLike, duration: float | None = None) -> np.ndarray:
-        """Return the given times (N,), or times from 0 to the end of the motion in equal steps."""
+        """Return the given times (N,), or equally spaced times from 0 to the end of the motion."""
         times = clock(t, self.duration if duration is None else positive(duration, "duration [s]"))
         if times.ndim != 1 or not times.size or not np.isfinite(times).all():
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Pass times, or one step [s].")
@@ -312,7 +312,8 @@ def blend(
     a = np.broadcast_to(given, (len(times), len(primitives)))
     if not (np.isfinite(a).all() and a.min() >= 0.0 and (a.sum(axis=1) > 0.0).all()):
         raise ShapeError(
-            f"Expected finite activations >= 0, never all zero, got a minimum of {a.min():g} and a smallest sum of "
+            "Expected finite activations >= 0 that are not all zero at "
+            f"any time, got a minimum of {a.min():g} and a smallest sum of "
             f"{a.sum(axis=1).min():g}. Correct them."
         )
     information, vector = np.zeros((len(times), 2 * n, 2 * n)), np.zeros((len(times), 2 * n))

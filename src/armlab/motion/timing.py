@@ -41,7 +41,7 @@ def shortest_duration(
     g: ArrayLike | None = None,
     amplitude: ArrayLike | None = None,
 ) -> float:
-    """Return the shortest duration within limits, never below that of the demonstration [s].
+    """Return the shortest duration within the limits [s], at least the duration of the demonstration.
 
     The path stays the same; its duration is scaled by ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))``.
 
@@ -214,7 +214,9 @@ class PacedDmp(Shown):
         ShapeError, ConfigError : as in `Dmp.stepper`.
         """
         if run.keys() & {"duration", "tau_d"}:
-            raise ConfigError("Expected a run without a duration, got a duration. Pass a slower motion to `retimed`.")
+            raise ConfigError(
+                "Expected no duration for a retimed motion, got a duration. Pass a slower motion to `retimed`."
+            )
         return PacedStepper(self, {**self.run, **run})
 
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
@@ -282,7 +284,8 @@ class PacedStepper:
         return self._inner.goal
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Change the goal without changing the clock rate; the planned limits are no longer guaranteed."""
+        """Change the goal without changing the clock rate; compliance with the planned limits is no longer
+        guaranteed."""
         self._inner.change_goal(g)
 
 
@@ -291,8 +294,8 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
     The velocity is ``y_s sqrt(z)`` and the acceleration ``y_ss z + y_s z_s / 2``, with first and second derivatives y_s
     and y_ss (M + 1, n). With z linear between knots, both limits are linear inequalities in neighbouring values. A
-    backward pass finds the largest z from which the end can be reached, and a forward pass the largest reachable z.
-    Pham and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE
+    backward pass finds the largest z from which the end can be reached, and a forward pass finds the largest reachable
+    z. Pham and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE
     Transactions on Robotics 34(3), 2018.
     """
     with np.errstate(divide="ignore"):

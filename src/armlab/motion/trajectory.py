@@ -44,7 +44,7 @@ class Tolerance(Shown):
     velocity: ArrayLike = np.inf
 
     def spread(self, n: int) -> np.ndarray:
-        """Return both tolerances (2, n)."""
+        """Return the position and velocity tolerances (2, n)."""
         both = ((self.position, "position tolerance"), (self.velocity, "velocity tolerance"))
         return np.stack([arguments.joint_limit(value, what, n) for value, what in both])
 
@@ -111,7 +111,7 @@ class JointTrajectory(Shown):
             raise ShapeError("Expected velocities together with accelerations, got only accelerations. Pass both.")
         if self.qd is not None and np.abs(self.qd[-1]).max() > _REST:
             raise ShapeError(
-                f"Expected rest at the last point, got velocities {self.qd[-1].tolist()}. Add a final point."
+                f"Expected zero velocities at the last point, got velocities {self.qd[-1].tolist()}. Add a final point."
             )
         joints = tuple(self.joints)
         if joints and (len(joints) != q.shape[1] or len(set(joints)) < len(joints)):
@@ -143,7 +143,7 @@ class JointTrajectory(Shown):
         Raises
         ------
         UnknownName : the joint names of the trajectory differ from `joints`.
-        ShapeError : the trajectory has no joint names and a different number of columns.
+        ShapeError : the trajectory has no joint names, and its number of columns differs from the number of joints.
         """
         if not self.joints:
             if self.q.shape[1] != len(joints):
@@ -286,7 +286,7 @@ class TrajectoryController:
         """
         trajectory, self._session = self._trajectory, state.session
         if state.q.shape != self.goal.shape:
-            return self._fail("refused", f"Expected an arm of {len(self.goal)} joints, got {len(state.q)}.")
+            return self._fail("refused", f"Expected an arm with {len(self.goal)} joints, got {len(state.q)}.")
         rest = np.zeros_like(state.q)
         q = state.q_sent if _is_known(state) else state.q
         qd = state.qd_sent if is_moving and state.qd_sent.shape == q.shape else rest
@@ -324,7 +324,7 @@ class TrajectoryController:
     def __call__(self, state: State, dt: float | None = None) -> Command:
         """Return the command for one packet; the command stops the run when the motion has ended.
 
-        `dt` is the time since the last packet [s]; default: from the State.
+        `dt` is the time since the last packet [s]; default: the value in the State.
         """
         if self._session < 0:
             self.begin(state)
@@ -395,14 +395,16 @@ def _is_known(state: State) -> bool:
 
 
 def _evaluate(c: np.ndarray, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position, velocity and acceleration (..., n) of coefficients (6, ..., n), s seconds after the start."""
+    """Return the position, velocity and acceleration (..., n) of the polynomials with coefficients (6, ..., n) at a
+    time s [s] after the start."""
     q = c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * (c[4] + s * c[5]))))
     qd = c[1] + s * (2 * c[2] + s * (3 * c[3] + s * (4 * c[4] + s * 5 * c[5])))
     return q, qd, 2 * c[2] + s * (6 * c[3] + s * (12 * c[4] + s * 20 * c[5]))
 
 
 def _outside(q: np.ndarray, qd: np.ndarray, tolerance: np.ndarray, joints: Sequence[str]) -> str:
-    """Describe the first position or velocity difference beyond its tolerance, or return ""; NaN is ignored."""
+    """Return a description of the first position or velocity difference beyond its tolerance, or "" if there is none;
+    NaN is ignored."""
     for values, most, what in ((q, tolerance[0], "position"), (qd, tolerance[1], "velocity")):
         over = np.abs(values) > most
         if over.any():

@@ -149,7 +149,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         Raises
         ------
         UnknownName : a column recorded by the controller is missing.
-        ShapeError : no row with a path.
+        ShapeError : the table has no row with a path.
         """
         begun = np.asarray(np.isfinite(table["path"]).all(axis=1))
         if not begun.any():
@@ -306,7 +306,7 @@ def starting(run: RunParameters) -> np.ndarray:
 
 
 class TwoDofController(Controller):
-    """Controller of a `TwoDofDmp` that integrates its reference acceleration twice, using measured positions."""
+    """Controller for a `TwoDofDmp`: integrates the reference acceleration twice, using measured positions."""
 
     stepper: TwoDofStepper
 

@@ -39,8 +39,8 @@ def robot(
     Parameters
     ----------
     robot : the arm.
-    q : configuration (n,), or configurations (N, n). The last one is drawn in full, and up to eight evenly spaced
-        others as faint lines. Default: home posture.
+    q : configuration (n,), or configurations (N, n). The last configuration is drawn in full, and up to eight evenly
+        spaced others are drawn as faint lines. Default: home posture.
     path : draw the tool path through all N configurations.
     frames : draw the base, flange and tool frames.
     ax : 3D Axes to draw into, for example with another arm; default: a new figure.

@@ -72,7 +72,7 @@ def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
 def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
     """Return the noise class of each column, or None if it is ambiguous.
 
-    The sequence of classes repeats, with three columns per class (one for a distance or line).
+    The sequence of noise classes repeats across the columns, with three columns per class (one for a distance or line).
     """
     if len(classes) == 1:
         return np.zeros(columns, dtype=int)

@@ -24,7 +24,7 @@ _SHADE = "#B3B3B3"
 
 
 def wrench(table: Table, ax: Any = None) -> Figure:
-    """Plot the estimated wrench against time, one panel per axis, with 2-sigma bands; contact is shaded.
+    """Plot the estimated wrench against time, one panel per axis, with 2-sigma bands; contact intervals are shaded.
 
     The true wrench (`wrench_true`), the measured wrench (`wrench`) and guaranteed limits (`wrench_interval`) are drawn
     if the table contains them. All forces have the same scale, and so do all moments. The estimates determine the
@@ -75,7 +75,7 @@ def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
     ShapeError : `tables` does not contain Tables, or the number of Axes is wrong.
     """
     if not isinstance(tables, Mapping) or not tables:
-        raise ShapeError(f"Expected {{name: table}} of at least one arm to draw, got {shortened(tables)}.")
+        raise ShapeError(f"Expected {{name: table}} with at least one arm to draw, got {shortened(tables)}.")
     with panels(3, len(tables), ax, width=max(6.0, 4.5 * len(tables)), height=1.9, sharex="col") as (figure, axes):
         for column, (name, table) in enumerate(tables.items()):
             wrench(table, ax=axes[:, column])

@@ -172,7 +172,7 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
     shown = joints_shown(joints, residuals.shape[1])
     known = np.asarray(np.isfinite(residuals).all(axis=1))
     if known.sum() < 10:
-        raise ShapeError(f"Expected at least 10 rows with a residual for an autocorrelation, got {known.sum()}.")
+        raise ShapeError(f"Expected at least 10 rows with a residual to compute an autocorrelation, got {known.sum()}.")
     whole = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     t, residuals, known = table.t[whole], residuals[whole], known[whole]
     step = float(np.median(np.diff(t)))

@@ -104,7 +104,10 @@ def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int | None) -> tuple[np.
     y = pose_stack(demo[1]) if n is None else numbers(demo[1], "demo positions", ShapeError)
     shape, what = ((4, 4), "poses (N, 4, 4)") if n is None else ((n,), f"positions (N, {n})")
     if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), *shape) or not (np.diff(t) > 0).all():
-        raise ShapeError(f"Expected a demonstration as increasing times (N,) and {what}, got {t.shape} and {y.shape}.")
+        raise ShapeError(
+            "Expected a demonstration that consists of increasing "
+            f"times (N,) and {what}, got shapes {t.shape} and {y.shape}."
+        )
     return t - t[0], y
 
 

@@ -135,7 +135,7 @@ def _include(ax: Axes3D, points: np.ndarray) -> None:
 
 @cache
 def _arrow_class() -> type:
-    """Return the class of 3D arrows, because matplotlib has only planar arrows."""
+    """Return a class for 3D arrows, because matplotlib has only planar arrows."""
     from matplotlib.patches import FancyArrowPatch
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 

@@ -61,7 +61,8 @@ def look() -> Iterator[None]:
 def panels(
     rows: int, columns: int, ax: Any = None, *, width: float = 9.0, height: float = 1.8, **layout: Any
 ) -> Iterator[tuple[Figure, np.ndarray]]:
-    """Yield a new figure, or that of the caller's Axes `ax`, and its axes (rows, columns) in armlab's style."""
+    """Yield a figure in armlab's style and its axes (rows, columns); the figure is new or belongs to the caller's Axes
+    `ax`."""
     with look():
         if ax is None:
             import matplotlib.pyplot as plt

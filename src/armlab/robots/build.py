@@ -95,7 +95,9 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     q_min, q_max, qd_max = given("q_min", -unlimited), given("q_max", unlimited), given("qd_max", unlimited)
     slides = np.zeros(n) if prismatic is None else numbers(prismatic, f"prismatic of robot {name!r}")
     if slides.shape != (n,):
-        raise RobotError(f"Expected prismatic of robot {name!r} ({n} joints) to have shape ({n},), got {slides.shape}.")
+        raise RobotError(
+            f"Expected `prismatic` of robot {name!r} ({n} joints) to have shape ({n},), got {slides.shape}."
+        )
     inertias = details.get("inertias")
     home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
     robot = Robot(
@@ -143,7 +145,7 @@ def from_dh(
     RobotError : if the columns have different lengths, contain NaN, or the numbers are inconsistent.
     """
     if not isinstance(modified, bool | np.bool_):  # the string "standard" is truthy
-        raise RobotError(f"Expected modified of robot {name!r} to be True or False, got {modified!r}.")
+        raise RobotError(f"Expected `modified` of robot {name!r} to be True or False, got {modified!r}.")
     alpha, a, d, offset = _columns(name, alpha=alpha, a=a, d=d, offset=offset)
     for key, angles in (("alpha", alpha), ("offset", offset)):
         if np.abs(angles).max(initial=0.0) > 2.0 * np.pi:
@@ -268,7 +270,7 @@ def from_poe(name: str, screws: ArrayLike, T_home: ArrayLike, **details: Unpack[
     ----------
     name : name of the robot.
     screws : (n, 6) xi [v; w] in the frame of the mount; w = 0 for a prismatic joint.
-    T_home : (4, 4) pose of the flange in the mount at q = 0.
+    T_home : (4, 4) pose of the flange in the mount frame at q = 0.
     **details : limits, mount, tool and more; see `Details`.
 
     Raises
@@ -318,7 +320,8 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
 def to_local_poe(robot: Robot) -> LocalPoe:
     """Return the robot as a local product of exponentials, including mount and tool.
 
-    A_j leads to the frame of joint j + 1, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis of joint j.
+    A_j is the pose of the frame of joint j + 1 in the preceding frame, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis
+    of joint j.
 
     Parameters
     ----------

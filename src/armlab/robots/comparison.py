@@ -87,7 +87,7 @@ def _pose(what: str, A: np.ndarray, B: np.ndarray) -> str:
 
 
 def _link(i: int, robot: Robot, other: Robot) -> str:
-    """Describe the difference between two links: length if it differs, otherwise pose."""
+    """Describe the difference between two links: the lengths if they differ, otherwise the poses."""
     ends = ("mount", *(f"joint {k + 1}" for k in range(robot.n)), "flange")
     a, b = robot.links[i], other.links[i]
     lengths = [float(np.linalg.norm(T[:3, 3])) for T in (a, b)]

@@ -60,7 +60,7 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Convert joint positions, velocities or accelerations to motors: ``q_motor = G⁻¹ q`` (..., n).
+    """Convert joint positions, velocities or accelerations to those of the motors: ``q_motor = G⁻¹ q`` (..., n).
 
     Parameters
     ----------

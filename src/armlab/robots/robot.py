@@ -47,7 +47,7 @@ class Robot:
     q_home : (n,) default start posture, inside the limits.
     joint_names : n names, base to tool.
     T_base_mount : (4, 4) pose of the arm's mount in the frame ``base``.
-    T_flange_tool : (4, 4) pose of the tool in the flange.
+    T_flange_tool : (4, 4) pose of the tool in the flange frame.
     gravity : (3,) acceleration of gravity [m/s^2], base axes.
     coupling : (n, n) gear matrix G: ``q = G q_motor``, ``tau = G^-T tau_motor``.
     abb_axes : ABB's axis number of each joint, in kinematic order.
@@ -287,7 +287,7 @@ def _axis_numbers(value: tuple[Any, ...], name: str) -> tuple[int, ...]:
     try:
         return tuple(map(index, value))
     except TypeError:
-        raise RobotError(f"Expected abb_axes of robot {name!r} to be integers, got {list(value)}.") from None
+        raise RobotError(f"Expected `abb_axes` of robot {name!r} to be integers, got {list(value)}.") from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -344,7 +344,7 @@ class Mesh(Shown):
 
 
 def arm_length(robot: Robot) -> float:
-    """Return the length of the outstretched arm from mount to tool [m], or 1 for zero length."""
+    """Return the length of the outstretched arm from mount to tool [m], or 1 if this length is zero."""
     steps = np.linalg.norm(np.concatenate([robot.links, robot.T_flange_tool[None]])[:, :3, 3], axis=1)
     strokes = np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0)[robot.prismatic]
     return float(steps.sum() + strokes.sum()) or 1.0
@@ -397,7 +397,7 @@ def _check_poses(robot: Robot) -> None:
             rows = "; ".join(" ".join(f"{x:.9g}" for x in row) for row in pose)
             raise RobotError(
                 f"Expected {field} of robot {robot.name!r} to be a pose whose rotation is orthonormal within "
-                f"{so3.ROTATION_TOLERANCE:g}, got [{rows}]. If it is nearly a rotation, project it first "
+                f"{so3.ROTATION_TOLERANCE:g}, got [{rows}]. If the matrix is nearly a rotation, project the pose first "
                 "(lie.se3.project)."
             )
     if not np.isfinite(robot.gravity).all():

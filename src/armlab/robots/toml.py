@@ -218,7 +218,8 @@ def _matrix(pose: Pose, where: str) -> np.ndarray:
 
 
 def write_robot(robot: Robot) -> str:
-    """Return the TOML text of a robot, with DH rows if they are exact, otherwise with the pose of each next joint."""
+    """Return the TOML text of a robot, with DH rows if they are exact, otherwise with the pose of each joint relative
+    to the previous one."""
     rows = [{"name": _text(name)} for name in robot.joint_names]
     dh = _dh_columns(robot)
     head: Fields = {"name": _text(robot.name)}
@@ -326,7 +327,8 @@ def _gear_ratios(robot: Robot) -> list[float] | None:
 
 
 def _angles(name: str, *values: float, slides: bool = False) -> Fields:
-    """Return the field in degrees if a short number of degrees reads back exactly, otherwise in SI units."""
+    """Return the field in degrees if a short decimal number of degrees converts back to exactly the same value,
+    otherwise in SI units."""
     degrees = tuple(float(f"{math.degrees(value):.10g}") for value in values)
     if not slides and all(math.radians(short) == value for short, value in zip(degrees, values)):
         name, values = f"{name}_deg", degrees

@@ -1,4 +1,4 @@
-"""Signal processing: streaming operators for control loops, zero-phase filters and derivatives for records."""
+"""Signal processing: streaming operators for control loops, zero-phase filters and derivatives for recorded signals."""
 
 from armlab.signals.offline import central_diff, decimate, filtfilt, lowpass_offline, smooth_diff
 from armlab.signals.streaming import CausalDiff, Differentiator, ExpFilter, Integrator, LowPass2, Notch

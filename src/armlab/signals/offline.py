@@ -71,7 +71,8 @@ def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
     """Run a streaming filter forward and backward along axis 0, for zero phase and squared gain.
 
-    The record is extended by point reflection at both ends, by the settling time of the filter. The operator is reset.
+    Both ends of the record are extended by point reflection, each over the settling time of the filter. The operator is
+    reset.
 
     Parameters
     ----------
@@ -117,7 +118,8 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
 
 
 def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
-    """Keep every `factor`-th sample along axis 0 after a zero-phase low-pass at 0.8 of the new Nyquist frequency.
+    """Keep every `factor`-th sample along axis 0 after a zero-phase low-pass filter at 0.8 of the new Nyquist
+    frequency.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
 def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
     """Differentiate along axis 0 with a zero-phase Savitzky-Golay filter (cubic polynomials in a sliding window).
 
-    The odd window length is chosen to bring the 3 dB bandwidth, relative to the ideal derivative, closest to
+    The window length is the odd number for which the 3 dB bandwidth, relative to the ideal derivative, is closest to
     `bandwidth`.
 
     Parameters

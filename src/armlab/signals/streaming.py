@@ -2,7 +2,8 @@
 
 All operators have ``step(x)`` or ``step(x, t)``, ``run(x)`` or ``run(x, t)`` (bit-identical to a loop over `step`), and
 ``reset(init)``. A sample is a number or an array of constant shape. The step h is `dt` or the time stamp difference, so
-filters keep their time constants under jitter. A non-finite sample returns NaN and leaves the state unchanged.
+filters keep their time constants under jitter. For a non-finite sample, the filter returns NaN and leaves its state
+unchanged.
 """
 
 from __future__ import annotations

@@ -117,7 +117,8 @@ _SHARE_OF_RANGE, _SHARE_OF_SPEED = 0.25, 0.1
 
 
 class HandPath:
-    """Joint path along which a hand leads the arm: cubic between its rows and at rest outside them.
+    """Joint path along which a hand guides the arm: cubic between the rows and constant before the first and after the
+    last row.
 
     `t`: (N,) increasing times since the stream began [s], at least two. `q`: (N, n) joint positions [rad or m].
     """
@@ -127,7 +128,7 @@ class HandPath:
         if self._t.ndim != 1 or self._q.ndim != 2 or len(self._t) != len(self._q) or len(self._t) < 2:
             raise ShapeError(
                 f"Expected times (N,) and postures (N, n) with at least two rows, got {self._t.shape} and "
-                f"{self._q.shape}. Pass one posture per time."
+                f"{self._q.shape}. Pass one posture per time stamp."
             )
         if not (np.isfinite(self._t).all() and np.isfinite(self._q).all() and (np.diff(self._t) > 0).all()):
             raise ShapeError(
@@ -140,7 +141,8 @@ class HandPath:
 
     @classmethod
     def random(cls, robot: Robot, seed: int | Sequence[int] = 0, seconds: float = 600.0) -> HandPath:
-        """Return a smooth random path from home to home, within the joint limits and below 10 % of the speed limits."""
+        """Return a smooth random path that starts and ends at home, within the joint limits and below 10 % of the speed
+        limits."""
         draw = np.random.default_rng(seed)
         t = np.arange(0.0, seconds + 1e-9, 0.05)
         room = _SHARE_OF_RANGE * np.minimum(robot.q_max - robot.q_home, robot.q_home - robot.q_min) / _WAVES
@@ -171,7 +173,8 @@ class HandPath:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """External events of one controller, which sends packets only while `is_open` (a RAPID program runs EGM)."""
+    """External events of one controller, which sends packets only while `is_open` returns True (a RAPID program is
+    running EGM)."""
 
     operator: AppliedWrench | None = None
     hand: HandPath | None = None
@@ -188,12 +191,12 @@ class Surroundings:
         return np.sum(acting, axis=0) if acting else None
 
     def leads(self, program: str, n: int) -> HandPath | None:
-        """Return the path of the hand that leads the arm in a program, or None."""
+        """Return the path of the hand that guides the arm in a lead-through program, or None for other programs."""
         hand = self.hand if program == "lead-through" else None
         if hand is not None and hand.n != n:
             raise ShapeError(f"Expected a hand path of {n} joints, got a path of {hand.n}.")
         return hand
 
     def is_ready(self, t: float) -> bool:
-        """Return whether motors and RAPID allow guidance at a robot time [s]; RAPID may be undefined."""
+        """Return whether motors and RAPID allow guidance at a robot time [s]; an undefined RAPID state is accepted."""
         return self.motors.at(t) == MOTORS["on"] and self.rapid.at(t) != RAPID["stopped"]

@@ -56,7 +56,7 @@ class TwoLink:
 
     Raises
     ------
-    ConfigError : a mass or length is not above 0, a friction is below 0, or a number is not finite.
+    ConfigError : a mass or length is not above 0, a friction coefficient is below 0, or a number is not finite.
     """
 
     m1: float = 0.2
@@ -74,7 +74,7 @@ class TwoLink:
                 raise ConfigError(f"Expected {name} of the two-link arm above 0, got {getattr(self, name)}.")
         for name in ("viscous", "coulomb"):
             if not 0.0 <= getattr(self, name) < np.inf:
-                raise ConfigError(f"Expected {name} of the two-link arm of at least 0, got {getattr(self, name)}.")
+                raise ConfigError(f"Expected {name} of the two-link arm to be at least 0, got {getattr(self, name)}.")
         if not np.isfinite(self.gravity):
             raise ConfigError(f"Expected a finite gravity of the two-link arm, got {self.gravity}.")
 

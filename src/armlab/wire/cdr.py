@@ -88,7 +88,8 @@ def with_bytes(types: Definitions) -> Definitions:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """Size of a type including nested types; `least` and `walked` are bytes and fields if all sequences are empty."""
+    """Size of a type including nested types; `least` and `walked` are the numbers of bytes and fields when all
+    sequences are empty."""
 
     fields: int = 0
     depth: int = 0

@@ -78,7 +78,8 @@ class QueueTrimming:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether to skip the reply to this packet; each message queued for three cycles costs one reply."""
+        """Return whether to skip the reply to this packet; one reply is skipped for each message queued for three
+        cycles."""
         before, self._depth = self._depth, depth
         if depth <= 0 and before <= 0:
             return False

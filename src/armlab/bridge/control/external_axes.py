@@ -75,8 +75,8 @@ class ExternalReferences:
     def rest(self, packet: Packet) -> Beside | None:
         """Return the measured positions as the external references, for a robot that does not follow references.
 
-        The next commanded position must be near these positions. If the limits are for a different number of axes, the
-        axes are disabled.
+        The next commanded position must be near the measured positions. If the limits are for a different number of
+        axes, the axes are disabled.
         """
         self._entered = False
         if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:

@@ -50,7 +50,7 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return why the feedback is implausible, or "" if it is plausible."""
+        """Return the reason why the feedback is implausible, or "" if it is plausible."""
         self._since += dt
         same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
@@ -157,7 +157,7 @@ class Readiness:
         self.is_unknown = False
 
     def not_ready_reason(self, packet: Packet) -> str:
-        """Return why the robot would not follow a reference, or "" if it would."""
+        """Return the reason why the robot would not follow a reference, or "" if it would."""
         absent = not (packet.motors and packet.mci)
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):

@@ -92,8 +92,9 @@ class Limits(Shown):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
         if not np.all(self.entry <= self.jump):
             raise ConfigError(
-                f"Expected Limits with entry at most jump for each joint, got {self.entry} and {self.jump}. A first "
-                "position further away would be refused as a jump: reduce entry and approach the position gradually."
+                "Expected Limits.entry to be at most Limits.jump for "
+                f"each joint, got {self.entry} and {self.jump}. A first position further away would "
+                "be rejected as a jump: reduce Limits.entry, and approach the position gradually."
             )
 
     @classmethod
@@ -218,7 +219,7 @@ class Limiter:
         return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
-        """Set the reference to rest at `q` (n,), for an arm that does not follow references."""
+        """Set the reference to `q` (n,) at zero speed, for an arm that does not follow references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
         sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
         sent.flags.writeable = False

@@ -1,6 +1,6 @@
 """Control loop: receive and decode a packet, call the controller, apply the limits, send one reply, then record.
 
-Each packet gets at most one reply, and a packet overtaken by a newer packet gets none. One arm paces the loop: its
+Each packet gets at most one reply, and a packet overtaken by a newer packet gets no reply. One arm paces the loop: its
 packets trigger the controller calls. The other arms receive their newest commands on their own ticks. All code except
 the controller runs under one lock, which the watchdog thread takes when the controller is overdue.
 
@@ -98,7 +98,7 @@ def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequenc
     for name in ("q_ext", "rapid_data", "rapid_digital"):
         if getattr(asked, name) is not None:
             raise CommandRefused(
-                f"Expected no {name} in a Command for all joints, because this Command does not name an arm. "
+                f"Expected no {name} in a single Command for all arms, because it does not specify the arm. "
                 "Return a tuple of one Command per arm."
             )
     parts = [_parts(name, getattr(asked, name), robots) for name in ("q", "qd", "tau")]
@@ -209,7 +209,7 @@ class Loop:
             self._reserve.close()
 
     def _fail(self, error: Exception) -> None:
-        """Stop after an internal error or an error in a custom codec or source, so no arm keeps moving."""
+        """Stop after an internal error or an error in a custom codec or source, so that no arm keeps moving."""
         self._free_reserve()
         self._has_failed = True
         failure = LinkError(f"Expected the cycle to run without errors, got {_named(error)}.")
@@ -409,7 +409,8 @@ class Loop:
         return ended
 
     def _stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring all arms to rest and end the run; store the first reason, and the failure in the pacing arm."""
+        """Bring all arms to rest and end the run; only the first reason is stored, and only the pacing arm stores the
+        failure."""
         self.reason = self.reason or reason
         self._pace.machine.stop(reason, failure)
         for arm in self._others:
@@ -423,7 +424,8 @@ class DryRun:
     """Dry run of a cycle: a separate loop replies to a synthetic packet, and the reply is discarded.
 
     Between packets, other programs evict the loop's code from the processor caches. A dry run just before a packet is
-    due reloads this code, which shortens the reply latency by a third (benchmarks/bench_egm.py).
+    due brings the loop's code back into the cache, which shortens the reply latency by a third
+    (benchmarks/bench_egm.py).
     """
 
     def __init__(self, end: End, limits: Limits) -> None:

@@ -41,7 +41,7 @@ def quiet_memory() -> Iterator[None]:
 
 
 def collect_if_due() -> None:
-    """Collect the youngest generation of objects if it is large; called when no packet is due."""
+    """Garbage-collect the youngest generation of objects if it is large; called when no packet is due."""
     if gc.get_count()[0] > _DUE:
         gc.collect(0)
 

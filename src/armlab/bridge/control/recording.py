@@ -31,7 +31,7 @@ class Feed(Protocol):
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Receive the row of one packet; `state.robot` names the arm."""
+        """Receive the recording row of one packet; `state.robot` names the arm."""
         ...
 
     def event(self, text: str, warn: bool = False) -> None:
@@ -151,7 +151,8 @@ class Recording:
             self._call_feeds(lambda feed: feed.event(text, warn))
 
     def _stamped(self, write: Callable[[int], None], stamp: int) -> None:
-        """Write an entry with a time stamp; in lockstep, entries before the first packet wait for the first row."""
+        """Write an entry with a time stamp; in lockstep, entries before the first packet are held until the first
+        row."""
         if stamp:
             write(stamp)
         else:

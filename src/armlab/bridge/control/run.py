@@ -266,8 +266,8 @@ def _counted(clients: Mapping[str, int]) -> str:
 def together(tables: Mapping[str, Table]) -> Table:
     """Merge the tables of several arms into one, with columns such as ``yumi_left.q``.
 
-    The merged table has one row per row of the first arm. Each row is joined with the last row of every other arm at or
-    before its time; ``<robot>.age`` is the age of the joined row.
+    The merged table has one row for each row of the first arm. Each row is joined with the last row of every other arm
+    at or before its time; ``<robot>.age`` is the age of the joined row.
     """
     named = [
         (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()

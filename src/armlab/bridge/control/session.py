@@ -33,7 +33,8 @@ _WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction: rejected robot time above w
 
 
 class Period:
-    """Estimate of the robot's cycle time: median of nine samples, then a slow average; restarted after a change."""
+    """Estimate of the robot's cycle time: median of nine samples, then a slow running average; restarted after a
+    change."""
 
     seconds: float
 
@@ -65,10 +66,10 @@ class Period:
 class RobotClock:
     """Increments of robot time: from feedBack.time if valid, else from tm in the header, else from arrival times.
 
-    A clock that steps back, stops or jumps by more than 1 s is ignored for the current time step. A tm that repeats is
-    too coarse for the cycle time and is ignored from then on, because its next increment would count twice. `believed`
-    bounds the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by
-    0.5 s, for example after a network stall.
+    A clock that steps back, stops or jumps by more than 1 s is ignored for the current time step. A repeated tm value
+    is too coarse for the cycle time; tm is then ignored, because its next increment would count twice. `believed`
+    bounds the step of a reference: robot time may lead the arrivals of the fastest packets by up to 1 ms or trail them
+    by up to 0.5 s, for example after a network stall.
     """
 
     exact: bool
@@ -99,7 +100,8 @@ class RobotClock:
                 what = "has stopped" if dt == 0.0 else f"jumped by {dt:+.3f} s"
                 self._report_once(
                     "set" if dt else "still",
-                    f"The robot's clock {what}. This time step is taken from tm in the header or from arrival times.",
+                    f"The robot's clock {what}. This time step is "
+                    "computed from tm in the header or from arrival times.",
                 )
         if claimed is None and packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)

@@ -20,7 +20,7 @@ _BRIEF_IN_A_ROW = 10  # consecutive short sessions that end the run, because `Se
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a loop."""
+    """Settings of a control loop."""
 
     seconds: float | None = None
     resume: bool = True
@@ -41,8 +41,8 @@ class Supervisor:
         self._elapsed, self._brief = 0.0, 0
 
     def check_silence(self, last_packet_ns: int) -> None:
-        """End the session after a silence, and the run if the robot is lost or stays silent for longer than the
-        patience."""
+        """End the session when packets stop, and end the run if the robot is lost or sends no packet for longer than
+        the patience period."""
         machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
             machine.lose(session.end(), self._settings.resume)
@@ -64,8 +64,8 @@ class Supervisor:
     def judge(self) -> None:
         """End the run after too many consecutive short sessions; called before a new session is observed.
 
-        Sessions without guidance usually do not count, because the robot may be waiting for its operator. They count
-        only if the run listens or is in lockstep, or after an EGM error.
+        Sessions without guidance are usually not counted as short sessions, because the robot may be waiting for its
+        operator. Sessions without guidance count only in listening or lockstep runs, or after an EGM error.
         """
         machine, session = self._machine, self._session
         gained, self._elapsed = machine.elapsed - self._elapsed, machine.elapsed
@@ -83,7 +83,7 @@ class Supervisor:
             failure = SessionEnded(
                 f"Expected a session with {kind} for {_BRIEF:g} s or more, got {self._brief} consecutive shorter "
                 f"sessions; the last session ended because {session.reason}. Read the event log of the robot "
-                "controller; a usual cause is a reference that is refused as too far away or too fast."
+                "controller; a common cause is a reference that was rejected as too far away or too fast."
             )
             machine.stop("sessions ended immediately", failure)
 

@@ -83,7 +83,7 @@ class Torques:
             self._check()
             if not measured and "measured_torque" in self._capabilities:
                 raise CommandRefused(
-                    f"Expected no torque in the Command, because {self._robot.name} reports no torques and has no "
+                    f"Expected a Command without torque, because {self._robot.name} reports no torques and has no "
                     "torque-controlled drives. A simulated arm needs masses in its description (<inertial> in a URDF, "
                     'inertias in a TOML file). Otherwise, command q or qd, or run with torque="admittance".'
                 )

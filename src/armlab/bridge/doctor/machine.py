@@ -196,7 +196,10 @@ def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
     collect()
     cost = time.perf_counter() - start
     value = f"{objects} objects, {1e3 * cost:.1f} ms for a full collection"
-    advice = "Load large data before the run, not in the controller: a collection during the run takes several cycles."
+    advice = (
+        "Load large data before the run, not in the controller: "
+        "a garbage collection during the run takes several cycles."
+    )
     return Finding.judged("garbage", "warning", cost > _LONG, value, advice)
 
 

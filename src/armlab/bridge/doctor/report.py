@@ -202,7 +202,7 @@ def route_to(host: str) -> str:
 
 
 def firewall(file: Path = _FIREWALL) -> Finding:
-    """Report whether the firewall ufw is on; its rules are readable only by root."""
+    """Report whether the ufw firewall is enabled; only root can read its rules."""
     is_on = False
     with suppress(OSError), file.open(encoding="utf-8") as opened:
         is_on = any(line.strip().lower() == "enabled=yes" for line in opened)
@@ -243,7 +243,7 @@ class _PortListener:
 
 
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], requested: bool) -> list[Finding]:
-    """Bind the ports, listen, and return the findings; send only self-test tokens to this computer."""
+    """Bind the ports, listen, and return the findings; the only data sent are self-test tokens to this computer."""
     found: list[Finding] = []
     listeners: list[_PortListener] = []
     for number, robot in zip(numbers, robots, strict=True):
@@ -304,8 +304,8 @@ def examine(
 ) -> list[Finding]:
     """Return the findings of all checks: first the computer, then the network and the ports.
 
-    The check listens on `ports` (default: `DEFAULT_PORTS`) for `seconds` [s] and measures wake-ups for `wake_up` [s].
-    With `robots`, one per port, the function also checks the number of axes and the posture.
+    The check listens on `ports` (default: `DEFAULT_PORTS`) for `seconds` [s] and measures wake-up latencies for
+    `wake_up` [s]. With `robots`, one per port, the function also checks the number of axes and the posture.
     """
     numbers = list(DEFAULT_PORTS if ports is None else ports)
     if not numbers or any(not 0 <= number < 65536 for number in numbers) or len(set(numbers)) < len(numbers):

@@ -179,7 +179,7 @@ class Fusion:
                 time.sleep(0.1 * pacing.period)
 
     def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
-        """Return the fields `sources` and, with a force sensor, `wrench` of a State at a tick."""
+        """Return the State field `sources` at a tick and, with a force sensor, the field `wrench`."""
         held = self.tick(now_ns)
         found: dict[str, Any] = {"sources": held}
         for source in self.sources:

@@ -148,7 +148,7 @@ class Change(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Event text of the change."""
+        """Text of the event that reports the change."""
         value = self.value.tolist() if isinstance(self.value, np.ndarray) else self.value
         return f"Parameter {self.name} = {value!r}, set by {self.who} (setting {self.sequence})."
 
@@ -156,8 +156,8 @@ class Change(NamedTuple):
 class Parameters:
     """Parameters of a run; ``params.gain`` is the current value.
 
-    A new value is checked immediately and takes effect between two ticks. Values that are set together take effect in
-    the same tick, or all are refused.
+    A new value is checked immediately and takes effect between two ticks. Values that are set together either all take
+    effect in the same tick or are all refused.
 
     Parameters
     ----------

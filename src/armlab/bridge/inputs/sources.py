@@ -100,7 +100,7 @@ class Source:
     Raises
     ------
     ConfigError
-        An empty name or a name with a dot, no fields, a period or age not above 0, a calibration without the field
+        An empty name or a name with a dot, no fields, a period or age of 0 or less, a calibration without the field
         ``wrench_raw``, or a field size that is negative or larger than a row.
     ShapeError
         A field contradicts the glossary, or its unit is missing.
@@ -246,7 +246,7 @@ class ThreadSource(Source):
         self._thread: threading.Thread | None = None
 
     def work(self) -> None:
-        """Receive readings in the thread; a subclass defines this method."""
+        """Receive readings in the background thread; subclasses implement this method."""
         raise NotImplementedError
 
     def start(self) -> None:
@@ -374,7 +374,7 @@ class ReplaySource(Source):
         self._row, self._newest = -1, None
 
     def newest(self) -> Reading | None:
-        """Return the recorded reading at the current time since the first tick."""
+        """Return the recorded reading for the time elapsed since the first tick."""
         if self._begun_ns is None:
             self._begun_ns = self.now_ns
         row = int(np.searchsorted(self._ticks_ns, self.now_ns - self._begun_ns, side="right")) - 1

@@ -217,7 +217,8 @@ class Outlet:
             self.lost += 1
 
     def send(self, data: bytes) -> bool:
-        """Send one message without blocking; return False if it is dropped (the process ended or does not read)."""
+        """Send one message without blocking; return False if it is dropped (the process has ended or is not
+        reading)."""
         try:
             return self._socket is not None and self._socket.send(data) > 0
         except OSError:  # full, or the process has ended and its supervisor restarts it

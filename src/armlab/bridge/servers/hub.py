@@ -263,7 +263,8 @@ class Hub:
                 self.report_goal(order, ("aborted", "refused", str(error)))
 
     def _trajectory(self, last: messages.TrajectoryRequest, points: bytes) -> TrajectoryController | None:
-        """Return the controller of a trajectory whose limits its server has checked, or None for an unknown arm."""
+        """Return the controller for a trajectory already checked against the limits by its server, or None for an
+        unknown arm."""
         robot = self._robots.get(last.arm)
         if robot is None:
             return None

@@ -298,7 +298,7 @@ class LocalServer:
 
 
 def _listen(path: Path) -> socket.socket:
-    """Return a listening socket that only the user may open."""
+    """Return a listening socket that only the current user can open."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         try:
             probe.connect(str(path))

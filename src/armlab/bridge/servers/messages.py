@@ -61,7 +61,7 @@ class Renew(_Message, tag="renew", frozen=True):
 
 
 class Cancel(_Message, tag="cancel", frozen=True):
-    """Bring the arm of a running goal to rest; any client may send this request, as with a stop."""
+    """Bring the arm of a running goal to rest; any client may send this request, just like a stop request."""
 
     arm: str = ""
     goal: str = ""
@@ -149,7 +149,7 @@ def text_message(kind: str, **fields: Any) -> bytes:
 
 
 def parameter_message(parameters: Parameters) -> bytes:
-    """Return a message with the declaration, current value and last setting client of each parameter."""
+    """Return a message with the declaration and current value of each parameter, and the client that last set it."""
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]

@@ -50,7 +50,7 @@ class Datagrams:
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
-        """Return the datagram of a row with the arms that the row updates and all sources."""
+        """Return the datagram for a row, with the values of all sources and of the arms that the row updates."""
         _, _, wall_ns = read_head(self._schema, data)
         found: dict[str, Any] = {"timestamp": 1e-9 * wall_ns}
         for robot, place in self._fresh:
@@ -89,9 +89,11 @@ class PlotJugglerServer:
         try:
             is_here = ipaddress.IPv4Address(to).is_loopback
         except ValueError:
-            raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
+            raise ConfigError(f"Expected an IPv4 address for the option `to` of plotjuggler, got {to}.") from None
         if not is_here and ipaddress.IPv4Address(self._from).is_loopback:
-            raise ConfigError(f"Expected --listen plotjuggler=ADDRESS, because {to} is not this computer. Add it.")
+            raise ConfigError(
+                f"Expected --listen plotjuggler=ADDRESS, because {to} is not an address of this computer. Add it."
+            )
         self._loop = LoopEnd(feed, lambda: {"{}:{}".format(*self._to): (self._sent, self._lost)})
         self._datagrams = Datagrams(self._loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
 

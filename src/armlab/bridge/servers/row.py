@@ -155,7 +155,7 @@ class RowSchema:
             written = msgspec.json.decode(text, type=Written)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigError(
-                f"Expected the schema of rows as JSON, got {error}. Use the schema from the same feed."
+                f"Expected the row schema as valid JSON, got {error}. Use the schema from the same feed."
             ) from None
         if written.version != VERSION:
             raise ConfigError(
@@ -348,7 +348,7 @@ class Pace:
         self._due: dict[Hashable, float] = {}
 
     def takes(self, arms: Iterable[Hashable], now: float) -> bool:
-        """Return whether to accept a row."""
+        """Return whether a row is due for any of these arms."""
         due = [arm for arm in arms if now >= self._due.get(arm, now)]
         for arm in due:
             self._due[arm] = max(self._due.get(arm, now) + self._every, now)

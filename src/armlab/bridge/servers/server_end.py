@@ -99,8 +99,8 @@ class LoopEnd:
         """Send a request to the loop; return False if the socket is full.
 
         If the socket is full, commands, settings, renewals and reports are dropped, because newer ones follow;
-        `receive` sends stops and releases later. Trajectory parts leave room for stops and releases; the loop detects
-        missing parts.
+        `receive` sends stops and releases later. Trajectory parts leave room in the socket for stops and releases; the
+        loop detects missing parts.
         """
         data = encoded(request)
         with self._lock:

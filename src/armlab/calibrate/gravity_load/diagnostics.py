@@ -82,7 +82,7 @@ class LoadUnknowns:
 
 
 def _along(equation: WeightEquation) -> str:
-    """Return the suffix for a rotation: the unknowns that are unidentifiable along the rotation axis."""
+    """Return the message suffix for a rotation: the unknowns that are unidentifiable along the rotation axis."""
     return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
 
 
@@ -101,7 +101,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 def require_motion(equation: WeightEquation) -> float:
     """Raise an error if there are too few samples or gravity varies too little; return the variation of gravity along
-    its second direction."""
+    its second principal direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
@@ -236,7 +236,7 @@ def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: f
 
 
 def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
-    """Return a doubt about the units if the mass or the scale is implausible."""
+    """Return a remark on the units if the mass or the scale is implausible."""
     pull = words.equation.pull
     g = 0.0 if pull is None else float(np.linalg.norm(pull))
     if words.scale == "scale":

@@ -154,7 +154,7 @@ def fit_accelerometer(
 
     Raises
     ------
-    ShapeError : wrong shapes, rows with NaN, invalid rotations.
+    ShapeError : wrong shapes, rows with NaN, or invalid rotations.
     NotExcited : too few samples, or an unidentifiable direction (named in the message).
     NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings that do not follow gravity.
     """

@@ -83,8 +83,8 @@ def fit_dual_arm(
     Returns
     -------
     Fit of a `models.DualArmCorrection`
-        The parameters are the twists of the frames of a and b relative to their start. The twist of T_basea_baseb,
-        which has no nominal value, is relative to its estimate.
+        The parameters are the twists of the frames of a and b relative to their nominal values. The twist of
+        T_basea_baseb, which has no nominal value, is relative to its estimate.
 
     Raises
     ------
@@ -322,7 +322,8 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the directions of joints at rest, the common motion of both tools, and the overall scale."""
+        """Return the candidate unobservable directions: joints at rest, the common motion of both tools, and the
+        overall scale."""
         arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
         a, size = arm_a.size, self.problem.size
         found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")

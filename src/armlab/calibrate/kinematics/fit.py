@@ -2,8 +2,8 @@
 
     T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
 
-Every frame may move by a twist, so arms with parallel axes need no special treatment. The estimate maximises the joint
-likelihood of all measurements; `excitation` names the unobservable directions.
+Every frame may be displaced by a twist, so arms with parallel axes need no special treatment. The estimate maximises
+the joint likelihood of all measurements; `excitation` names the unobservable directions.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def fit_kinematics(
     visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} for a separate mask per kind.
     noise : standard deviations: for poses a pair ([m], [rad]) or 6 values; for positions 1 or 3 values [m]; for
         distances 1 value [m]. Alternatively, covariances (k, k) or (N, k, k). An infinite standard deviation excludes a
-        component. For several kinds of measurement: {"pose": ..., "distance": ...}. Default, also for omitted kinds:
-        estimated.
+        component. For several kinds of measurement: {"pose": ..., "distance": ...}. By default, and for omitted kinds,
+        the noise is estimated.
     model : "local_poe": steps of the frames; "poe": steps of the base-frame screws and the home pose. Both models give
         the same result.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
@@ -205,7 +205,7 @@ def _free_frames(arm: Arm, free: Any) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ArmEstimation(KinematicEstimation[State]):
-    """Estimation of one arm."""
+    """Estimation of the kinematics of one arm."""
 
     problem: KinematicProblem
 

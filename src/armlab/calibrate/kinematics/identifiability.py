@@ -1,13 +1,13 @@
 """Identifiability of the parameters of an arm: gauge, directions that the measurements never determine, joints at rest.
 
-The components of a direction are relative to the limits of their parameters. There are three classes of unobservable
-directions:
+The components of a direction are expressed relative to the limits of their parameters. There are three classes of
+unobservable directions:
 
 gauge           motion that can be moved from one frame to the next without effect
 structural      a tool point does not determine the tool orientation, and a distance does not determine the base
 data-dependent  a joint at rest, a tool point on the last axis, or an unknown scale
 
-Data-dependent directions, and directions whose standard deviation exceeds its limit, raise NotExcited.
+The fit raises NotExcited for data-dependent directions, and for directions whose standard deviation exceeds its limit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class UnobservableDirection:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiabilityTest:
-    """Unknowns, and the directions along which the data may not determine them."""
+    """Unknowns, and the directions in which the data may fail to determine them."""
 
     names: Sequence[str]  # names of the d unknowns
     units: Sequence[str]  # units of the d unknowns
@@ -53,7 +53,8 @@ class IdentifiabilityTest:
     what: str  # name of the fitted quantity
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
-        """Return the excitation of the whitened Jacobian (m, d); weak directions raise an error unless `hold`."""
+        """Return the excitation of the whitened Jacobian (m, d); weak directions raise an error unless `hold` is
+        set."""
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
@@ -95,7 +96,8 @@ class IdentifiabilityTest:
 
 @dataclass(frozen=True, eq=False)
 class _Named:
-    """Weak directions: `words` has one name per cause; `each` and `vectors` (d, w) have one entry per direction."""
+    """Weak directions: `words` contains one name per cause; `each` and `vectors` (d, w) contain one entry per
+    direction."""
 
     words: list[str]
     spreads: list[str]

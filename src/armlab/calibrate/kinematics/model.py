@@ -120,7 +120,8 @@ class Arm:
         return frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q)
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return the motion (N, 6, d) of points (N, 3) on the tool, in axes of P; `local`: for steps of the frames."""
+        """Return the Jacobian (N, 6, d) of points (N, 3) on the tool, in axes of P; `local`: with respect to steps of
+        the frames."""
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -132,7 +133,7 @@ class Arm:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
 
     def gauge(self, frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return the unobservable directions (d, g) for these frames, and their names."""
+        """Return the unobservable directions (d, g) for the given frames, and their names."""
         joints, parts, names = self.moving
         back, count = se3.adjoint_inv(frames[1:]), np.arange(len(joints))
         G = np.zeros((self.size, len(joints)))
@@ -156,7 +157,7 @@ class Arm:
         return se3.log(se3.inv(self.start) @ frames)
 
     def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the equivalent frames nearest to the start, and the motion of the base (4, 4).
+        """Return the equivalent frames nearest to the initial frames, and the resulting motion of the base (4, 4).
 
         `base` (6, b), in measurement axes, and `tool` (6, t) are the unobservable twists of the base and of the tool.
         """
@@ -181,7 +182,7 @@ class Arm:
         return frames, whole
 
     def corrected(self, frames: np.ndarray) -> Robot:
-        """Return the robot with these frames; gravity rotates with the base."""
+        """Return the robot with the given frames; gravity rotates with the base."""
         robot = self.robot
         links = np.array(robot.links)
         links[1:-1] = frames[1:-1]
@@ -198,7 +199,7 @@ class Arm:
 
 
 def frame_steps(frames: np.ndarray) -> np.ndarray:
-    """Return the frame steps (d, d) equivalent to steps of the base-frame screws and the home pose.
+    """Return the matrix (d, d) that converts steps of the base-frame screws and the home pose to frame steps.
 
     With ``C_j = E_0 ... E_j``, the screw of joint j + 1 is ``Ad(C_j) e_z``. Steps ``C_j Exp(x_j)`` for all j change the
     frames to ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``.
@@ -211,7 +212,7 @@ def frame_steps(frames: np.ndarray) -> np.ndarray:
 
 
 def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the frames (n+1, 4, 4) after steps of the products E_0 ... E_j in their own axes."""
+    """Return the frames (n+1, 4, 4) after steps of the products E_0 ... E_j, each in its own axes."""
     moved = np.empty_like(frames)
     moved[0] = frames[0] @ steps[0]
     moved[1:] = se3.inv(steps[:-1]) @ frames[1:] @ steps[1:]
@@ -313,7 +314,8 @@ class KinematicProblem:
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return the residuals and their derivatives with respect to all unknowns (`local`: to steps of the frames)."""
+        """Return the residuals and their derivatives with respect to all unknowns (if `local`, with respect to
+        increments of the frames)."""
         P = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, P, P[:, -1, :3, 3], local)
         found: list[Measurement] = []
@@ -385,7 +387,7 @@ class KinematicProblem:
 
 
 def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the residuals (N, 6) of poses and their derivatives, given the motion J (N, 6, d) in base axes."""
+    """Return the residuals (N, 6) of poses and their derivatives, given the pose Jacobian J (N, 6, d) in base axes."""
     R = T[:, :3, :3].transpose(0, 2, 1)
     turn = so3.log(R @ measured[:, :3, :3])
     r = np.concatenate([measured[:, :3, 3] - T[:, :3, 3], turn], axis=1)

@@ -66,7 +66,7 @@ def kabsch(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def check_scale(nominal: float, measured: float, what: str) -> None:
-    """Raise an error for lengths in millimetres."""
+    """Raise an error for lengths that appear to be in millimetres."""
     if measured > MILLIMETRES * nominal > 0:
         raise ShapeError(
             f"Expected {what} in metres, got values {measured / nominal:.3g} times as large as those of the nominal "
@@ -187,7 +187,7 @@ class KinematicEstimation(ABC, Generic[S]):
 
     @abstractmethod
     def nature(self, state: S) -> list[UnobservableDirection]:
-        """Return the directions that measurements of these kinds never determine."""
+        """Return the directions that measurements of these kinds can never determine."""
 
     @abstractmethod
     def candidates(self, state: S) -> list[UnobservableDirection]:
@@ -251,7 +251,8 @@ class KinematicEstimation(ABC, Generic[S]):
     def result(
         self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
     ) -> Fit[Value]:
-        """Return the fit at a state equivalent to the solution; `value` is a function of state and covariance."""
+        """Return the fit, evaluated at a state equivalent to the solution; `value` computes the fitted value from the
+        state and its covariance."""
         problem, used = self.problem, self.used
         outside = np.flatnonzero(found.outliers)
         data = problem.measurements(state, local=True)
@@ -336,7 +337,7 @@ class KinematicEstimation(ABC, Generic[S]):
         return left
 
     def _instrument(self) -> dict[str, float]:
-        """Return the noise of a typical instrument for each class."""
+        """Return the noise of a typical instrument for each measurement class."""
         return dict.fromkeys([name for kind in self.problem.kinds for name in kind.classes], UNIT)
 
     def _judge_fit(self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S]) -> Excitation:
@@ -387,7 +388,7 @@ def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> li
 
 
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
-    """Raise an error for inconsistent samples; `sizes` are the sizes of the workspaces [m], 0 at rest."""
+    """Raise an error for inconsistent samples; `sizes` are the sizes of the workspaces [m], or 0 for an arm at rest."""
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):

@@ -107,7 +107,7 @@ def accelerometer(
     """Identify the axes and bias of a tool-mounted accelerometer from readings at rest in many orientations.
 
     Each file contains the poses T_base_tool, as for hand-eye calibration, and the acceleration acc1, acc2, acc3 in
-    sensor axes [m/s^2], which points upwards at rest. A MAT file contains acc (N, 3).
+    sensor axes [m/s^2], which points upwards at rest. A MAT file must contain acc (N, 3).
 
     Parameters:
         gravity: Gravity vector in base axes [m/s^2]; default: pointing down.

@@ -143,7 +143,8 @@ def dual_arm(
 
 
 def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
-    """Return joint positions, poses, positions, distances, pair distances, and the other sample of each pair."""
+    """Return the joint positions, measured poses, positions, distances and pair distances, and the index of the second
+    sample of each pair."""
     import numpy as np
 
     q = read.vectors("q", (arm.n,))

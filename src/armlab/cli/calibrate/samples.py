@@ -143,14 +143,15 @@ def read_pair(paths: Sequence[Path], columns: str | None) -> list[Samples]:
     for name in set(names.entries) - names.optional - {"t"}:
         if not any(name.partition(":")[0] in one.values for one in samples):
             raise LogError(
-                f"Expected the columns of {name} in {' or '.join(str(path) for path in paths)}, got neither. Correct "
+                f"Expected the columns for {name} in {' or '.join(str(path) for path in paths)}, got neither. Correct "
                 f"the source of {name} in --columns."
             )
     return samples
 
 
 def read_samples(path: Path, columns: str | ColumnNames | None = None) -> Samples:
-    """Return the columns of a CSV file, a MAT file or a recording; `columns` maps other column names."""
+    """Return the columns of a CSV file, a MAT file or a recording; `columns` specifies any non-standard column
+    names."""
     from armlab.log.file_formats.column_names import ColumnNames
     from armlab.log.file_formats.delimited import rows_of, separator_of, text_table
     from armlab.log.file_formats.description import renamed
@@ -211,7 +212,7 @@ def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
     width = _NUMBERS_OF.get(kind)
     if width is None or (form.endswith("_deg") and width != 3):
         known = ", ".join(_NUMBERS_OF)
-        raise ConfigError(f"Expected a rotation as {known}, angles also with _deg, got {form!r} for {what}.")
+        raise ConfigError(f"Expected a rotation as {known}, with _deg for angles in degrees, got {form!r} for {what}.")
     if numbers.ndim != 2 or numbers.shape[1] != 3 + width:
         raise LogError(f"Expected {3 + width} columns for a pose as {form}, got shape {numbers.shape} for {what}.")
     if kind == "matrix":
@@ -249,7 +250,8 @@ def _check_units(path: Path, labels: Sequence[str]) -> None:
     for name, told in groups.items():
         if len(told) > 1:
             raise LogError(
-                f"Expected a unit for all components of {name} in {path} or for none, got a unit for some. "
+                f"Expected a unit for all components of {name} in {path} "
+                "or for none, got units for only some components. "
                 "Write the unit in every label."
             )
 
@@ -329,7 +331,7 @@ def measured_rows(
     """Return the rows with a measurement; recordings also contain rows between the samples of a sensor.
 
     A row needs values in all arrays of `needed` and, unless `every` is set, in at least one array of `some`. Returns
-    these rows of all arrays, and their row numbers in the file.
+    the selected rows of all arrays, and the row numbers in the file.
     """
     import numpy as np
 

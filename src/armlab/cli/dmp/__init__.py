@@ -45,7 +45,7 @@ def fit(
 ) -> int:
     """Fit a movement primitive to one or several demonstrations in logs, and save it.
 
-    Standstill before and after the motion is skipped. Prints the RMS error between the primitive and the
+    Stationary samples before and after the motion are skipped. Prints the RMS error between the primitive and the
     demonstrations.
 
     Parameters:
@@ -58,7 +58,7 @@ def fit(
             not recorded by armlab.
         start: Start of the motion in the log [s].
         end: End of the motion in the log [s].
-        whole: Keep the standstill before and after the motion.
+        whole: Keep the stationary samples before and after the motion.
         period: With periodic: duration of one period [s].
         frame: With pose: axes of the forcing term, base or goal; default: base.
         basis: Number of kernels; default: 50, 25 for periodic, 15 for promp.

@@ -58,7 +58,7 @@ class MotionWindow:
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options with a value; reject options that do not apply to this kind of primitive."""
+    """Return the options that have a value; reject options that do not apply to this kind of primitive."""
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}
@@ -170,7 +170,7 @@ def _side_by_side(table: Table, names: Sequence[str]) -> np.ndarray:
 
 
 def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
-    """Return the rows of the motion with a margin of standstill at both ends."""
+    """Return the rows of the motion with a stationary margin at both ends."""
     if len(t) < 3:
         return slice(None)
     speed = np.abs(np.gradient(y, t, axis=0)).reshape(len(t), -1).max(axis=1)

@@ -62,8 +62,8 @@ def estimate(
     """Estimate the contact force in a log with a torque model.
 
     For each axis, prints the range, the mean 2-sigma band, the observability and, with --method interval, the limits.
-    For each contact, prints the mean force and the possible location. A verdict then reports gaps and skipped rows.
-    Forces are exerted by the environment on the robot, in base axes at the tool point.
+    For each contact, prints the mean force and the possible contact location. A verdict then reports gaps and skipped
+    rows. Forces are exerted by the environment on the robot, in base axes at the tool point.
 
     Parameters:
         robot: Library name or robot file of the modelled robot.
@@ -162,4 +162,4 @@ def _check(table: Table, log: Path) -> None:
         )
         raise LogError(f"Expected rows with finite q, qd and tau in {log}, got none in {len(table)} rows. {advice}")
     if invalid:
-        note(f"{invalid} of {len(table)} rows have non-finite values and no estimate")
+        note(f"{invalid} of {len(table)} rows contain non-finite values and have no estimate")

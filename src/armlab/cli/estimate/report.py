@@ -121,7 +121,7 @@ def judge(
             f"{size:.2f} N (2 sigma: {largest.band:.2f} N)."
         )
     else:
-        found.good.append("No contact: the force never exceeds the level of free motion.")
+        found.good.append("No contact: the force never exceeds its level in free motion.")
     for part in (_seen, _whole, _flags):
         part(found, table)
     _reach(found, table, model, prior)
@@ -155,7 +155,7 @@ def _whole(found: Verdict, table: Table) -> None:
         t = table.t[(table["wrench_flags"] & armlab.contact.INVALID) > 0]
         found.bad.append(
             f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
-            "have non-finite values and no estimate."
+            "contain non-finite values and have no estimate."
         )
     if holes := gaps(table):
         longest = sorted(sorted(holes, key=lambda gap: -gap[1])[:NAMED])
@@ -212,7 +212,8 @@ def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) 
 
 
 def _truth(found: Verdict, table: Table) -> None:
-    """Compare the estimate with a force sensor or a simulated operator if the log contains its wrench."""
+    """Compare the estimate with the wrench of a force sensor or a simulated operator, if the log contains such a
+    wrench."""
     try:
         compared = armlab.contact.compare(table)
     except UnknownName:
@@ -234,7 +235,7 @@ def page(
         words += " Limits: medians over all rows, and the fraction of rows in which the limits exclude zero."
     page.section("Per axis", words)
     page.table(rows(table))
-    page.section("Contacts", "" if contacts else "None: the force never exceeds the level of free motion.")
+    page.section("Contacts", "" if contacts else "None: the force never exceeds its level in free motion.")
     if contacts:
         page.table(contact_rows(table, contacts, believed))
     page.figures([(title, title, caption, draw) for title, caption, draw in _drawings(table, believed)], tell)
@@ -251,7 +252,8 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
         ),
         (
             "Observability over time",
-            "Observability depends on the pose and on joint friction. Shaded: at least one axis is below 0.5.",
+            "Observability depends on the pose and on joint friction. "
+            "Shaded: the observability of at least one axis is below 0.5.",
             lambda: armlab.plots.observability(table),
         ),
         (
@@ -271,7 +273,8 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
-            "Fraction of errors per axis inside two sigma: 95.4 % at every speed if the uncertainty is calibrated.",
+            "Fraction of errors per axis inside two sigma: 95.4 % "
+            "at every speed if the uncertainty is well calibrated.",
             lambda: armlab.plots.coverage(table),
         )
         shown.insert(-1, coverage)

@@ -46,8 +46,8 @@ def identify(
         method: irls: robust (iteratively reweighted least squares). lts: robust (least trimmed squares, ignoring the
             worst quarter of the segments). wls, ols: not robust, with or without a weight per joint.
         gravity_only: Identify only gravity and friction, from a log of slow motion (accelerations below 1 rad/s^2). Use
-            this option for an arm that must not move fast; the model is sufficient for contact forces in slow motion.
-            Default: also identify inertia, which needs a log of fast motion.
+            this option for an arm that must not move fast; the model is accurate enough to estimate contact forces in
+            slow motion. Default: also identify inertia, which needs a log of fast motion.
         drives: Also identify torque ripple, position-dependent friction and (with logs of at least 20 minutes) warm-up
             per joint. Only terms that reduce the held-out residual are kept.
         cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by cross-validation (see the report).

@@ -105,7 +105,7 @@ def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None
                 "data do not cover the speeds, poses or load of that log."
             )
         else:
-            found.good.append(f"Test log: residual {said}, as in held-out blocks.")
+            found.good.append(f"Test log: residual {said}, consistent with the held-out blocks.")
 
 
 def _kept(model: TorqueModel) -> list[str]:
@@ -136,7 +136,10 @@ def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> Non
         shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
         found.bad.append(f"{_joints(~honest)}: {shares} of the held-out torques are within 2 sigma instead of 95 %.")
     if alpha > STRETCHED:
-        found.bad.append(f"The torque covariance was scaled by {alpha:.1f} to reach 95 % coverage: its shape is wrong.")
+        found.bad.append(
+            f"The torque covariance was scaled by {alpha:.1f} to reach 95 % "
+            "coverage: it does not describe the distribution of the errors correctly."
+        )
     if model.momentum is not None:
         worst = float(np.sqrt(max(model.momentum.alpha2_observer, model.momentum.alpha2_kf)))
         if worst > STRETCHED:
@@ -233,7 +236,7 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table,
         "error; gamma is its decay rate with speed.",
     )
     page.table(_residual_rows(fit, trial))
-    page.section("Friction per joint", "Standard deviations are from a block bootstrap.")
+    page.section("Friction per joint", "Standard deviations come from a block bootstrap.")
     page.table(_friction_rows(fit, trial))
     page.figures(_drawings(fit, trial, log), tell)
     page.section("Parameters", "Identifiable parameters: only these combinations affect the torques.")
@@ -296,7 +299,7 @@ def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Draw
         (
             "Torque ripple",
             "Amplitude of the torque residual against cycles per revolution",
-            "Peaks are ripple of gears and motors; dotted lines mark the ripple in the model.",
+            "Peaks are caused by gear and motor ripple; dotted lines mark the ripple in the model.",
             lambda: armlab.plots.spectrum(model, log),
         ),
         (

@@ -70,7 +70,7 @@ def scene(
         logs: Recordings with poses, or with q if --robot is given. Each log is drawn as a path.
         cloud: File of points measured by a laser tracker.
         plane: File of a plane measured by a laser tracker.
-        pose: MAT file that contains a frame; the file name is its label.
+        pose: MAT file that contains a frame, labelled with the file name.
         frames: Axis length of the frames drawn along paths [m]; 0 draws none.
     """
     from armlab.log import nikon

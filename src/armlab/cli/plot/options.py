@@ -179,7 +179,7 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
     name = column or next((name for name in POSES if name in table), None)
     if name is None:
         raise LogError(
-            f"Expected poses of the tool in {path}, column {' or '.join(POSES)}, got {', '.join(table.names)}. "
+            f"Expected tool poses in {path}, column {' or '.join(POSES)}, got {', '.join(table.names)}. "
             "Add --robot NAME to compute the poses from q, or select their column with --column."
         )
     return table[name]

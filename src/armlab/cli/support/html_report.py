@@ -56,7 +56,7 @@ class Verdict:
 
     @property
     def parts(self) -> tuple[tuple[str, list[str]], ...]:
-        """Title and sentences of each non-empty part."""
+        """Title and sentences of each non-empty section."""
         named = (("Good", self.good), ("Problems", self.bad), ("Next", self.ahead))
         return tuple((title, sentences) for title, sentences in named if sentences)
 
@@ -67,7 +67,7 @@ class Verdict:
 
 @dataclass
 class HtmlReport:
-    """A report that is built from top to bottom."""
+    """HTML report, built from top to bottom."""
 
     title: str
     about: str  # subtitle: robot, files, time
@@ -86,7 +86,7 @@ class HtmlReport:
         self.pieces.append(f"<h2>{escape(title)}</h2>" + (f'<p class="note">{escape(words)}</p>' if words else ""))
 
     def table(self, rows: Sequence[Sequence[str]], folded: str = "") -> None:
-        """Add a table whose first row is the header. Text is left-aligned, numbers are right-aligned."""
+        """Add a table whose first row is the header. Text is left-aligned, and numbers are right-aligned."""
         head, *body = rows
         words = [any(row[k][:1].isalpha() and row[k] != "nan" for row in body) for k in range(len(head))]
         head_cells = "".join(_cell("th", cell, text) for cell, text in zip(head, words, strict=True))

@@ -42,7 +42,7 @@ def reading_bar(path: Path) -> Iterator[Progress | None]:
 def read_log(path: Path, robot: Robot, force: bool = False, columns: str | None = None, *, fit: bool = False) -> Table:
     """Return the log with q, qd and tau; a missing velocity is computed from the positions.
 
-    `columns` maps other column names. With `fit`, a few incomplete rows are skipped.
+    `columns` specifies any non-standard column names. With `fit`, a few incomplete rows are skipped.
     """
     with reading_bar(path) as tell:
         table = armlab.log.read_arm(path, robot, tell, force=force, columns=columns)
@@ -145,8 +145,8 @@ def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
     """Return errors for velocities that are not the derivatives of the positions, and for implausible torques.
 
-    `identify.prepare` rejects logs with these errors. Logs for estimation may contain standstill, so this check uses
-    only the motion in the longest segment without a gap. The table has q, qd and tau (N, n).
+    `identify.prepare` rejects logs with these errors. Logs for estimation may contain periods at rest, so this check
+    uses only the motion in the longest segment without a gap. The table has q, qd and tau (N, n).
     """
     from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline

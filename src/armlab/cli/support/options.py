@@ -47,7 +47,7 @@ def as_given() -> Iterator[None]:
 def require_positive(option: str, value: float | None, unit: str = "") -> None:
     """Reject a number that is not positive and finite; None is accepted."""
     if value is not None and not (math.isfinite(value) and value > 0.0):
-        raise ConfigError(f"Expected --{option} above 0{f' {unit}' if unit else ''} and finite, got {value:g}.")
+        raise ConfigError(f"Expected a finite --{option} above 0{f' {unit}' if unit else ''}, got {value:g}.")
 
 
 def require_seconds(value: float | None) -> None:

@@ -160,7 +160,8 @@ class Narrator:
         if away[worst] > _HOME:
             note(
                 f"warning: {state.robot} does not start in its home posture: joint {worst + 1} is {away[worst]:.2f} "
-                "rad or m away. The log is valid, but a replay will start in the same posture."
+                "rad or m away. The log is valid, but a replay will "
+                "start from this posture instead of the home posture."
             )
 
     def event(self, text: str, warn: bool = False) -> None:

@@ -88,7 +88,7 @@ def _of_file(path: Path) -> dict[str, Any]:
     try:
         given = parsed(read_text(path, "settings"))
     except TomlError as error:
-        raise ConfigError(f"Expected TOML in {path}: {error}.") from None
+        raise ConfigError(f"Expected valid TOML in {path}: {error}.") from None
     return _checked(given, str(path), path.parent, strict=True)
 
 
@@ -106,7 +106,7 @@ def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, A
 
 
 def _checked(given: dict[str, Any], origin: str, folder: Path, strict: bool) -> dict[str, Any]:
-    """Return validated entries, with paths relative to this folder."""
+    """Return the validated entries, with paths resolved against this folder."""
     try:
         settings = msgspec.convert(given, UserSettings, strict=strict)
     except msgspec.ValidationError as error:

@@ -52,7 +52,7 @@ def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int =
 
     Raises
     ------
-    ShapeError : inconsistent shapes, NaN, fewer than 2 centres.
+    ShapeError : inconsistent shapes, NaN, or fewer than 2 centres.
     NotExcited : a joint that does not move.
     """
     q, qd = _record(q, qd)
@@ -155,8 +155,8 @@ class _JointRows:
         return _JointRows(*parts, self.rate, self.step)
 
     def blocks(self, left: np.ndarray) -> np.ndarray:
-        """Return the block number (M,) of each row; blocks are longer than the residual autocorrelation, but there are
-        at least 20 of them."""
+        """Return the block number (M,) of each row; blocks are longer than the correlation time of the residual, but
+        there are at least 20 of them."""
         count = int(np.ceil(block_seconds(left[:, None], self.step) / SHORTEST))
         return self.half // max(1, min(count, (int(self.half[-1]) + 1) // MOST_OF))
 
@@ -187,13 +187,13 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[Torque
     -------
     Fit of `models.TorqueModel`: the model with the terms that improve it, or the unchanged model. Torque covariance
     and quality are reassessed: terms fitted without a fifth of the log are validated on that fifth. If the given model
-    was identified from the same log, its excess error on held-out rows is added. The parameters are the coefficients of
-    the terms, in N m, and the ripple lines; their covariance combines the scatter between blocks and the ridge bias.
-    For the parameters of warm-up, see `fit_warm_up`.
+    was identified from the same log, the model's excess squared error on held-out rows is added to the errors. The
+    parameters are the coefficients of the terms, in N m, and the ripple lines; their covariance combines the scatter
+    between blocks and the ridge bias. For the parameters of warm-up, see `fit_warm_up`.
 
     Raises
     ------
-    ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
+    ShapeError : NaN rows, a wrong joint count, or a velocity that is not the derivative of position.
     NotExcited : a short log, all joints at rest, or a joint that rarely slides beyond its presliding distance.
 
     References
@@ -263,7 +263,7 @@ def _ripple(
     peak: float,
     name: str,
 ) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
-    """Return the selected lines of one joint with their coefficients and their Gaussian kernels in speed.
+    """Return the selected ripple lines of one joint, with their coefficients and Gaussian kernels over speed.
 
     Lines are selected from `clean`, the residual after position-dependent friction, and fitted to the rows in which no
     line aliases. These rows limit the speed range of the Gaussians.

@@ -56,11 +56,11 @@ def refit(
 
 
 def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return the moments (B, p) of segments, scaled to the variance of the noise.
+    """Return the moments (B, p) of segments, scaled so that their variance matches that of the noise.
 
-    If a single segment determines a coefficient, the residual contains none of the noise of that segment. With the
-    segment's share M of H, the moment is therefore ``(1 - M)^(-1/2)`` times the moment of the residuals, in coordinates
-    with H = 1 (Bell and McCaffrey 2002).
+    If a single segment determines a coefficient, the residual contains none of the noise of that segment. If the
+    segment contributes the share M of H, its moment is therefore ``(1 - M)^(-1/2)`` times the moment of the residuals,
+    in coordinates with H = 1 (Bell and McCaffrey 2002).
     """
     number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)
     root = np.linalg.cholesky(H)
@@ -74,11 +74,11 @@ def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) 
 
 
 def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """Return ``H^-1 S H^-1`` (p, p) with S the scatter of the moments, shrunk towards a multiple of H for few moments.
+    """Return ``H^-1 S H^-1`` (p, p) with S the scatter of the moments, shrunk towards a multiple of H if there are few
+    moments.
 
     `H`: (p, p) normal matrix. `moments`: (B, p) gradients of independent segments, which sum to about 0.
-    After Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich
-    covariance.
+    Sandwich covariance: Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions.
     """
     scale = np.sqrt(np.diag(H))  # parameters have different units
     root = np.linalg.cholesky(H / np.outer(scale, scale))

@@ -1,9 +1,9 @@
 """Search and fit of torque ripple lines in the residuals of one joint (law: models.friction.RippleLines).
 
-Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among these peaks.
-Finally, a line is kept only if removing it increases the held-out error by more than 2 %. A line c causes ripple at the
-frequency c |qd| / (2 pi); only samples in which this frequency is below a quarter of the sampling rate are used.
-Theory: docs/theory/friction.md.
+Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among the peaks of the
+periodogram. Finally, a line is kept only if removing it increases the held-out error by more than 2 %. A line c causes
+ripple at the frequency c |qd| / (2 pi); only samples in which this frequency is below a quarter of the sampling rate
+are used. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def ripple_lines(
 
     Raises
     ------
-    ShapeError : inconsistent shapes, NaN, a non-positive rate.
+    ShapeError : inconsistent shapes, NaN, or a non-positive rate.
     """
     q, qd, y = (numbers(x, "q, qd and y", ShapeError) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
@@ -65,7 +65,7 @@ def ripple_lines(
     if not 0 < rate < np.inf or not np.isfinite([highest, lowest]).all():
         raise ShapeError(
             f"Expected a rate above 0 Hz and finite search limits, got {rate:g} Hz and {lowest:g} to {highest:g} "
-            "cycles. Pass the sampling rate and 2.5 times the gear ratio."
+            "cycles. Pass the sampling rate and, as the upper search limit, 2.5 times the gear ratio."
         )
     turns = np.ptp(q) / (2 * np.pi) if len(q) else 0.0
     if not highest > lowest or turns * (highest - lowest) < 4.0:
@@ -121,7 +121,8 @@ def _peak(search: _LineSearch, grid: np.ndarray) -> int | None:
 
 
 def highest_seen(qd: np.ndarray, rate: float) -> float:
-    """Return the largest c [cycles per revolution] below a quarter of the rate in half of the samples."""
+    """Return the highest ripple line [cycles per revolution] whose frequency is below a quarter of the sampling rate in
+    half of the samples."""
     return float(2 * np.pi * SLOW_SHARE * rate / max(np.median(np.abs(qd)), 1e-12))
 
 
@@ -210,7 +211,8 @@ def refine_lines(
 def _bent(
     q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns of lines, derivatives (N, L) of their best-fitting sum for each line, and the residual."""
+    """Return the columns of the ripple lines, the derivatives (N, L) of their best-fitting sum with respect to each
+    line, and the residual."""
     A, slopes = _waves(q, amplitudes, cycles)
     x = ridge_solution(A, y, RIDGE)[0]
     shape = len(cycles), -1

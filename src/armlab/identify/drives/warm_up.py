@@ -103,7 +103,8 @@ def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple
 
 
 def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) -> tuple[np.ndarray, float, float]:
-    """Return eight parameters, the residual sum of squares and the reference power from the used seconds (B,)."""
+    """Return eight parameters, the residual sum of squares and the reference power from the selected one-second
+    intervals (B,)."""
     from scipy.optimize import minimize
 
     grid = [(T, x0) for T in TIMES for x0 in (0.0, 1.0)] if guess is None else [(guess[6], guess[7])]
@@ -123,10 +124,10 @@ def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) ->
 
 
 def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """Fit warm-up together with viscous friction, Coulomb friction and offset of every joint.
+    """Fit the warm-up model together with viscous friction, Coulomb friction and offset of every joint.
 
-    Warm-up is kept if it reduces the squared error on held-out segments by at least 2 %; otherwise, the friction of the
-    joint is unchanged.
+    The warm-up term is kept if it reduces the squared error on held-out segments by at least 2 %; otherwise, the
+    friction of the joint is unchanged.
 
     Parameters
     ----------
@@ -135,14 +136,14 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueM
 
     Returns
     -------
-    Fit of `models.TorqueModel` with a new torque covariance and quality; see `fit_friction`. The fit has eight
+    Fit of `models.TorqueModel`, with updated torque covariance and fit quality; see `fit_friction`. The fit has eight
     parameters per joint with warm-up; their covariance comes from the scatter of segments longer than the residual
     autocorrelation.
 
     Raises
     ------
     NotExcited : a log of less than 20 minutes.
-    ShapeError : NaN, wrong joint count, velocity that is not the derivative of position.
+    ShapeError : NaN, a wrong joint count, or a velocity that is not the derivative of position.
 
     References
     ----------
@@ -214,7 +215,7 @@ def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarr
 
 
 def _along(k: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return v (B, 6); the residuals of a second are the columns of that second times v."""
+    """Return v (B, 6) such that the residuals of each second are the columns of that second times v."""
     constant = np.broadcast_to(k[1:4, None], (3, len(x)))
     return np.stack([k[0] + k[4] * x, *constant, k[5] * x, np.full(len(x), -1.0)], axis=1)
 
@@ -224,7 +225,7 @@ def _left(sums: _Seconds, theta: np.ndarray, reference: float, used: np.ndarray)
 
 
 def _squares(sums: _Seconds, k: np.ndarray, x: np.ndarray, used: np.ndarray) -> float:
-    """Return the residual sum of squares over the used seconds."""
+    """Return the residual sum of squares over the selected one-second intervals."""
     v = _along(k, x)
     return float(np.einsum("b,bi,bij,bj->", used, v, sums.gram, v))
 
@@ -241,7 +242,7 @@ def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.nda
 
 
 def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
-    """Return the least-squares parameters by Gauss-Newton, accounting for their effect on the thermal state."""
+    """Return the Gauss-Newton least-squares parameters, accounting for their effect on the thermal state."""
     every = np.ones(len(sums.rows))
     least = _left(sums, theta, reference, every)
     for _ in range(STEPS):

@@ -64,7 +64,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
     map : TOML file. ``[columns]`` maps each label to signal, axis and arm. ``time`` is the label of the clock and
         ``time_unit`` its unit; ``rate`` [Hz] replaces a missing clock. ``separator`` is one character; a space matches
         any number of spaces. ``skip`` is the number of lines to skip at the start. ``header = false`` declares a file
-        without labels, whose columns are "1", "2", .... ``arm`` is the arm of all signals.
+        without labels, whose columns are "1", "2", .... ``arm`` sets the arm for all signals.
     arm : arm to select if the map has several arms; a library name or a robot file.
     raw : keep rows with non-increasing time; default: drop them, with a note and a warning.
 
@@ -125,7 +125,9 @@ def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, 
             'Add the arm to the map: arm = "yumi_left".'
         )
     if arm is None and len(names) > 1:
-        raise ConfigError(f"Expected the name of one arm (arm=) for {path}, which has the arms {', '.join(names)}.")
+        raise ConfigError(
+            f"Expected the name of one arm (arm=) for {path}, which contains the arms {', '.join(names)}."
+        )
     if arm is not None and arm not in names:
         raise UnknownName.among("arm of the map", arm, names)
     chosen = arm or names[0]

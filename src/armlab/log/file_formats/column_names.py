@@ -2,8 +2,9 @@
 
 An entry is ``NAME=SOURCE``, optionally with a factor and a unit: ``tau=current_{1..6}*{11.2,11.2,9.8,4.4,4.4,4.4}``.
 ``{1..6}`` is a range, ``{0..}`` a range up to the last column in the file, and ``{a,b}`` a list. ``{*}`` matches any
-text within one topic and gives the joint name. ``|`` separates alternatives, of which the first existing name is used.
-A source may omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds ``/joint_states/position[0]``.
+text within one topic; the matched text is the joint name. ``|`` separates alternatives, of which the first existing
+name is used. A source may omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds
+``/joint_states/position[0]``.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ class ColumnNames:
         return cls(entries, frozenset(optional), tuple(presets))
 
     def of_several_files(self) -> ColumnNames:
-        """Return the names with every column optional, for sets of files that each contain only some columns."""
+        """Return the names with every column optional, for sets of files that each contain only some of the columns."""
         return replace(self, optional=frozenset(self.entries), presets=())
 
     def found(self, path: Any, arrays: Arrays) -> tuple[dict[str, tuple[np.ndarray, str]], dict[str, tuple[str, ...]]]:

@@ -41,7 +41,7 @@ from armlab.log.file_formats.opening import FIRST, format_of
 from armlab.log.table import Table
 
 LONGEST = 1 << 20
-"""Characters per line: 40 000 numbers in full precision."""
+"""Characters per line: 40 000 numbers at full precision."""
 
 # Bytes of decompressed text that are always allowed, and the expansion ratio allowed beyond that. gzip reaches a ratio
 # of 1030, recordings of a resting arm with 300 constant columns reach 154, and recordings of a moving arm reach 25.
@@ -115,7 +115,7 @@ def read_sidecar(path: Path) -> Description | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise LogError(f"Expected to read {beside}, got: {error.strerror}.") from None
+        raise LogError(f"Expected a readable file {beside}, got: {error.strerror}.") from None
     except (ValueError, msgspec.ValidationError) as error:
         what = str(error).rstrip(".")
         raise LogError(
@@ -147,12 +147,12 @@ def read_csv(
     A file written by `log.write` is read back exactly if its description file ``run.csv.toml`` is present.
 
     In other files, empty fields and "nan" count as missing values (NaN). Rows with non-increasing time are dropped; a
-    note and a warning state their lines. A column that contains any text is a text column. A leading "- " in a label,
-    as in some ROS exports, is removed.
+    note and a warning list the line numbers of the dropped rows. A column that contains any text is a text column. A
+    leading "- " in a label, as in some ROS exports, is removed.
 
     Parameters
     ----------
-    path : the file. Its clock is the column t or time [s, ms, us, ns]; default unit: s.
+    path : the file. The clock of the file is the column t or time [s, ms, us, ns]; default unit: s.
     rate : sample rate [Hz] of a file without a clock.
     skip : number of lines before the header.
     separator : field separator; default: the first of ``, ; tab space`` in the header.

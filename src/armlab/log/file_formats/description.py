@@ -74,7 +74,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return json.dumps({**msgspec.to_builtins(self), **more})
 
     def table(self, path: Path, t: np.ndarray, values: Mapping[str, np.ndarray]) -> Table:
-        """Rebuild a table that was written to a file; the arrays (N, ...) are used without a copy."""
+        """Rebuild a table that was written to a file; the arrays (N, ...) are used without copying."""
         described = self.described()
         try:
             whole = {
@@ -212,8 +212,8 @@ def labelled_table(
 ) -> Table:
     """Build a table from named arrays, each with its unit.
 
-    The clock is t or time, or is computed from the `rate` [Hz]. `names` maps other column names; `joints` labels the
-    columns. With `keep_start`, t keeps its offset in the file.
+    The clock is t or time, or is computed from the `rate` [Hz]. `names` specifies any non-standard column names;
+    `joints` labels the columns. With `keep_start`, t keeps its offset in the file.
     """
     if names is not None:
         arrays, joints = names.found(path, arrays)

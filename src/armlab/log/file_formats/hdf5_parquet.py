@@ -90,7 +90,7 @@ def read_hdf5(
             if not arrays and left_out:
                 raise LogError(
                     f"Expected arrays of numbers in {path}, got {', '.join(left_out)}: a struct or other compound "
-                    "type. Save its fields one by one, in Julia: "
+                    "type. Save the fields one by one in Julia: "
                     'save("log.jld", "pos", log.pos, "vel", log.vel, "trq", log.trq, "timestamp", log.timestamp).'
                 )
             return foreign_table(path, arrays, left_out, raw, names)

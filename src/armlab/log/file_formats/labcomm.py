@@ -74,15 +74,15 @@ class _Leaf:
             self.axes = array.ndim if self.axes is None else self.axes
             if self.axes != array.ndim:
                 raise LogError(
-                    f"Expected arrays with {self.axes} dimensions in {label}, got {array.ndim}. Its sample was "
-                    "declared twice."
+                    f"Expected arrays with {self.axes} dimensions in {label}, "
+                    f"got {array.ndim}. The sample was declared twice."
                 )
         self.values.append(array)
         self.rows.append(row)
 
 
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
-    """Read a LabComm stream from a file, as written by the predecessors' loggers, as a table.
+    """Read a LabComm stream, as written by the predecessors' loggers, from a file into a table.
 
     The table has one row per value of the defining sample; values of other samples are held until the next value, and
     are missing before the first. A variable-size array has as many columns as its largest value and is padded with NaN.

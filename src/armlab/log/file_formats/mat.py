@@ -131,7 +131,7 @@ def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], orde
 
 
 def _text(kind: int, data: memoryview, shape: tuple[int, ...], order: str) -> str | None:
-    """Return the text if it has one row, or None if it has several rows."""
+    """Return a character array as a string, or None if it has several rows."""
     _check_shape(shape)
     if 0 in shape:
         return ""
@@ -153,7 +153,7 @@ def _flags(parts: Iterator[tuple[int, memoryview]], order: str) -> int:
 
 def _check_shape(shape: tuple[int, ...]) -> None:
     if not shape or min(shape) < 0:
-        raise LogError(f"Expected the sizes of an array, got {list(shape)[:8]}.")
+        raise LogError(f"Expected non-negative array dimensions, got {list(shape)[:8]}.")
 
 
 def _numbers(kind: int, data: memoryview, order: str) -> np.ndarray:

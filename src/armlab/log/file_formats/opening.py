@@ -14,7 +14,7 @@ from typing import Any
 from armlab.errors import ArmlabError, LogError, MissingExtra
 
 FIRST = 1024
-"""Number of bytes needed by `format_of`, because HDF5 may start with a user block of 512 bytes."""
+"""Number of bytes needed by `format_of`, because an HDF5 file may start with a user block of 512 bytes."""
 
 BAGS = ("rosbag2", "SQLite (rosbag2)", "ROS 1 bag")
 """Formats recorded by ROS programs, in addition to MCAP."""
@@ -51,7 +51,7 @@ def format_of(first: bytes) -> str:
 
 
 def is_text(path: str | Path) -> bool:
-    """Return whether a file exists and starts like text or gzip data, for `log.read_csv`."""
+    """Return whether a file exists and begins with text or gzip data, for `log.read_csv`."""
     return format_at(path) in ("text", "gzip")
 
 

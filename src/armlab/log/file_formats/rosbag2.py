@@ -1,7 +1,7 @@
 """Write a `Table` as a rosbag2 of standard message types, and read it back.
 
 Every topic has one message per row. Joint positions, velocities and torques are stored as JointState, wrenches as
-WrenchStamped, poses as PoseStamped, and other columns as std_msgs numbers, arrays or texts. `/t` stores the clock
+WrenchStamped, poses as PoseStamped, and other columns as std_msgs numbers, arrays or strings. `/t` stores the clock
 exactly.
 """
 
@@ -232,7 +232,9 @@ def _stamps(table: Table) -> np.ndarray:
     if not len(table):
         return np.zeros(0, dtype=np.int64)
     if np.abs(table.t).max() >= LAST / 1e9:
-        raise LogError(f"Expected times of at most {LAST / 1e9:.3g} s for a rosbag2, got {np.abs(table.t).max():g} s.")
+        raise LogError(
+            f"Expected times of at most {LAST / 1e9:.3g} s for a rosbag2 recording, got {np.abs(table.t).max():g} s."
+        )
     stamps = np.round(table.t * 1e9).astype(np.int64)
     order = np.arange(len(stamps))
     stamps = np.maximum.accumulate(stamps - order) + order

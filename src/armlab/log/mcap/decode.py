@@ -1,8 +1,9 @@
 """Numeric columns of MCAP messages, decoded in blocks of rows that share a layout.
 
 The chunk indexes give the number of messages. The first message of a channel is parsed field by field. Messages with
-the same length and the same non-numeric bytes have the same layout. Their numbers are copied chunk by chunk into arrays
-of the final size (`Room`). Messages with other layouts are read in blocks of equal length (`decode_messages`).
+the same length and the same non-numeric bytes have the same layout. The numbers of messages with the same layout are
+copied chunk by chunk into arrays of the final size (`Room`). Messages with other layouts are read in blocks of equal
+length (`decode_messages`).
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class MessageReader:
 
 @dataclass(slots=True)
 class Read:
-    """Rows (k,) and numbers by layout of valid messages, the number of invalid messages, and the first reason."""
+    """Rows (k,) and numbers of the valid messages, grouped by layout; the number of invalid messages; the reason why
+    the first one is invalid."""
 
     rows: np.ndarray
     pieces: list[Piece]
@@ -85,7 +87,7 @@ class _Bad:
 
 
 def of_length(lengths: np.ndarray) -> list[np.ndarray]:
-    """Return, for each message length, the rows (k,) of these messages in increasing order."""
+    """Return, for each message length, the rows (k,) of the messages of that length, in increasing order."""
     order = np.argsort(lengths, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if len(order) else []
 
@@ -215,7 +217,7 @@ def _filled(count: int, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.nd
 
 
 def _split(values: Values) -> dict[str, np.ndarray]:
-    """Return the numbers of each field path, split from the runs."""
+    """Return the numbers of each field path, extracted from the runs of consecutive numbers."""
     fields = {}
     for run, array in values.items():
         at = 0
@@ -485,7 +487,7 @@ def decode_by(
 
 
 def skipped(count: int, topic: str, reason: str) -> str:
-    """Return a note on skipped messages, with the reason for the first."""
+    """Return a note on skipped messages, with the reason for skipping the first one."""
     return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {shorten(reason, 300)}"
 
 

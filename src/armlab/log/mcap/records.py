@@ -20,7 +20,8 @@ _of_thread = threading.local()
 
 @dataclass(slots=True)
 class Chunk:
-    """Chunk of messages, with byte ranges [start, stop) of its record, its data and, by channel, its index entries.
+    """Chunk of messages, with the byte ranges [start, stop) of its record, its data and the index entries of each
+    channel.
 
     `is_open`: the writer crashed before it wrote the times, the size and the checksum.
     """

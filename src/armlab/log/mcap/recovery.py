@@ -76,7 +76,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     Parameters
     ----------
     path : the file; not modified.
-    to : output file; default: ``<name>.recovered.mcap`` next to the input. The output file must not exist.
+    to : output file; default: ``<name>.recovered.mcap`` next to the input. The output file must not already exist.
     progress : called with (bytes done, total bytes, what).
 
     Raises
@@ -100,7 +100,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
 
 
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
-    """Write everything readable; return the message count, lost chunks, and duration [s] without events."""
+    """Write everything readable; return the message count, lost chunks, and duration [s], excluding events."""
     writer = McapWriter(file, found.profile, found.library)
     for name, pairs in found.metadata.items():
         writer.metadata(name, pairs)

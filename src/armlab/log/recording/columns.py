@@ -194,7 +194,7 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:
-    """Return a note on what was recovered from an unfinished file, and how to repair it."""
+    """Return a note on the data recovered from an unfinished file, and how to repair it."""
     seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
     return (
         f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes truncated; "

@@ -1,4 +1,4 @@
-"""MCAP file of a recording, which never replaces an existing file and is complete up to the last row after a crash."""
+"""MCAP file of a recording; it never replaces an existing file and, after a crash, is complete up to the last row."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def revision(folder: Path) -> str:
 
 
 def _without_secrets(words: list[str]) -> list[str]:
-    """Replace the values of command-line options with secret names."""
+    """Replace the values of command-line options whose names indicate secrets."""
     kept: list[str] = []
     hide = False
     for word in words:
@@ -273,7 +273,8 @@ def inspect(path: str | Path) -> Inspection:
 
 
 def check_recorded(held: Inspection, robot: Robot) -> None:
-    """Raise a `ModelMismatchError` unless a recording has rows of a robot and an identical description of it."""
+    """Raise a `ModelMismatchError` unless a recording contains rows of a robot and an identical description of this
+    robot."""
     about = {topic_name(pairs["robot"]): pairs for pairs in held.metadata.values() if pairs.get("robot")}
     names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topic names, invalid characters are replaced
     pairs = about.get(topic_name(robot.name), about[names[0]] if len(names) == 1 else {})

@@ -1,7 +1,7 @@
 """`Log` and `Tail` hold rows in memory; `Recorder` writes rows to an MCAP file without blocking the loop.
 
-The writing thread polls the queue. If the loop woke the thread, every cycle would cost a system call, and both would
-contend for the GIL.
+The writing thread polls the queue. If the loop woke the thread, every cycle would cost a system call, and both threads
+would contend for the GIL.
 """
 
 from __future__ import annotations
@@ -383,7 +383,8 @@ class Recorder:
             self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event unless it repeats an earlier one; a limit keeps varying messages from filling the disk."""
+        """Write an event unless it repeats an earlier one; a limit on their number keeps varying messages from filling
+        the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

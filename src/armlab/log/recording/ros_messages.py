@@ -43,7 +43,8 @@ POSE_FIELDS = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.or
 class Topic:
     """Topic in a robot's namespace, with the message fields of each column.
 
-    Sequences of `optional` columns may be empty; the messages of the topic with `clock` are the rows of the table.
+    Message fields of `optional` columns may be empty sequences; each message of the topic with `clock` is one row of
+    the table.
     """
 
     name: str
@@ -70,7 +71,7 @@ class Topic:
 
 
 def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
-    """Return the topics for recording one arm, the clock first."""
+    """Return the topics for recording one arm, with the clock topic first."""
     labels = tuple(joint_names)
     joints = {
         "joint_states": ("q", "qd", "tau"),

@@ -206,7 +206,8 @@ class RowLayout:
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
     """Return the values with NaN in place of the missing marker.
 
-    A clock keeps its missing marker 0, because a float would round its value to about a hundred nanoseconds.
+    A clock column keeps 0 as its missing-value marker, because a float would round its value to about a hundred
+    nanoseconds.
     """
     if missing is None or missing == NO_CLOCK:
         return values

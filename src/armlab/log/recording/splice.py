@@ -1,4 +1,4 @@
-"""`cut` writes a segment of a recording as a complete file; `merge` joins several recordings in one file."""
+"""`cut` writes a segment of a recording as a complete file; `merge` joins several recordings into one file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ class SplicedRows:
 
     @property
     def start_ns(self) -> int:
-        """Wall-clock time of the first row [ns]; without rows, the largest value, so an empty file sets no clock."""
+        """Wall-clock time of the first row [ns]; without rows, the largest value, so an empty file never sets the
+        clock."""
         return self._wall(0) if self.rows.kept.any() else _NEVER
 
     @property
@@ -148,7 +149,8 @@ class Source:
         self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
-        """Return the messages for the new file: the message, if selected, and, for a row, the message with its time.
+        """Return the messages for the new file: the message itself if selected and, for a row, the message that
+        contains the row's time.
 
         Messages between the first and the last selected row, and earlier parameter values, are selected.
         """
@@ -204,7 +206,8 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
 
 
 def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
-    """Return the name, numbered if other content has the same name; None if the content is already present."""
+    """Return the name, with a number appended if different content already has this name; None if the content is
+    already present."""
     stem, dot, ending = name.partition(".")
     number, own = 1, name
     while own in known:

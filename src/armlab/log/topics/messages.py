@@ -61,7 +61,7 @@ def _size(value: Any) -> int:
 
 
 def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.ndarray:
-    """Assemble numbers or lists of numbers by row into an array (N, k) with NaN elsewhere."""
+    """Assemble the numbers or lists of numbers of all rows into an array (N, k), padded with NaN."""
     if len(rows) == count and all(isinstance(value, bool) for value in values):
         return np.array(values)[:, None]
     if len(rows) == count and all(isinstance(value, int) for value in values):
@@ -160,7 +160,7 @@ class TopicMessages:
     damage: list[str] = field(default_factory=list)
 
     def reader(self, topic: str, type_: str, types: cdr.Definitions) -> decode.MessageReader:
-        """Return the reader of a topic's messages, with names by joint and frame."""
+        """Return the reader of a topic's messages, which names the values by joint and frame."""
         fields = self.fields.setdefault(topic, TopicFields(type_, types))
         return decode.MessageReader(type_, types, None, fields.named)
 
@@ -192,7 +192,7 @@ def read_mcap_topics(
     into: TopicMessages,
     progress: Progress | None = None,
 ) -> None:
-    """Read topics of an MCAP file encoded as CDR, JSON or protobuf."""
+    """Read the CDR-, JSON- or protobuf-encoded topics of an MCAP file."""
     readers: dict[int, decode.MessageReader] = {}
     others: dict[int, Callable[[bytes], dict[str, Any]]] = {}
     for number, channel in found.channels.items():
@@ -262,7 +262,8 @@ def read_rosbags_topics(
 
 
 def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes]]:
-    """Return the definitions of a connection's type, from the bag or ROS 2, and a converter of messages to CDR."""
+    """Return the definitions of a connection's type, from the bag or ROS 2, and a function that converts messages to
+    CDR."""
     from rosbags.interfaces import ConnectionExtRosbag1
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

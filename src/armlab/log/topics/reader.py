@@ -54,7 +54,7 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
         raise LogError(
-            f"Expected topics with numbers in {path}, got no such topic{''.join(f'; {note}' for note in notes)}."
+            f"Expected topics with numeric data in {path}, got no such topic{''.join(f'; {note}' for note in notes)}."
         )
     clock = None
     if choice.clock is not None:
@@ -129,7 +129,7 @@ def _arm(
 
 
 def joints_among(robot: Robot, names: Sequence[str]) -> list[str]:
-    """Return the names that are joints of the robot, in its order; empty if one is missing.
+    """Return the names that are joints of the robot, in the robot's joint order; empty if any joint is missing.
 
     Both the ROS names and the names in the robot description are accepted. A common prefix, as used by drivers for two
     arms, is ignored.
@@ -276,12 +276,12 @@ class _Held:
 
 
 def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
-    """Return the table of a log from another program: an MCAP file, a rosbag2 or a ROS 1 bag."""
+    """Return the table of a log from another program: an MCAP file, a rosbag2 folder or a ROS 1 bag."""
     held = _held(path, choice, robot, progress)
     streams, notes = _streams(held.topics)
     reason = held.topics.left_out.get(choice.clock or "")
     if reason:
-        raise LogError(f"Expected a topic with numbers as clock= for {path}, got {choice.clock}: {reason}.")
+        raise LogError(f"Expected a topic with numeric data as clock= for {path}, got {choice.clock}: {reason}.")
     table = table_of_streams(path, streams, held.choice, [*notes, *_left_out(held.topics)])
     whole = [torn_sentence(file, found, table) for file, found in held.torn.items()]
     if whole or notes:
@@ -423,7 +423,8 @@ def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -
 
 
 def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
-    """Return the topics that may contain the columns; for an unknown column, all topics for the error message."""
+    """Return the topics that may contain the columns; if a column is unknown, return all topics for use in the error
+    message."""
     if columns is None:
         return set(topics)
     needed: set[str] = set()
@@ -438,6 +439,6 @@ def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
 
 
 def names_robots(path: Path) -> bool:
-    """Return whether the topics of a log identify robots, so that `read` accepts robot=."""
+    """Return whether the topics of a log identify robots, in which case `read` accepts robot=."""
     kind = format_at(path)
     return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))

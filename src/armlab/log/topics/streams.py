@@ -42,10 +42,10 @@ _INDEX = re.compile(r"\[[^\]]*\]")
 
 @dataclass(slots=True)
 class TopicFields:
-    """Names for the numbers of one message type, taken from the strings in its messages.
+    """Names of the numeric fields of one message type, taken from the strings in its messages.
 
     `parts`: dotted name without indices -> type of a nested message that forms one column. `joints`: prefix of a
-    JointState -> lists of joint names. `frames`: dotted name of a frame_id -> frame.
+    JointState -> lists of joint names. `frames`: dotted name of each frame_id -> name of the frame.
     """
 
     type: str
@@ -314,7 +314,7 @@ def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
 
 
 def _by_frames(whole: Stream, fields: Mapping[str, np.ndarray], order: np.ndarray) -> list[Stream]:
-    """Split a stream by sets of transforms published together."""
+    """Split a stream of transforms into one stream for each set of transforms published together."""
     groups: dict[bytes, list[str]] = {}
     for name, array in whole.values.items():
         if _PAIR.match(name):

@@ -48,13 +48,14 @@ class Demo:
 
     @cached_property
     def behind(self) -> np.ndarray:
-        """Whether each coordinate is behind its maximum by more than REVERSAL (N, n); all True without displacement."""
+        """Whether each coordinate is behind its maximum by more than REVERSAL (N, n); all True if the coordinate has no
+        displacement."""
         way = self.y[-1] - self.y[0]
         forward = self.y * np.sign(way)
         return np.maximum.accumulate(forward, axis=0) - forward > np.where(way != 0, REVERSAL * abs(way), -1.0)
 
     def steps_back(self, i: int) -> int | None:
-        """Return the first sample at which coordinate i moves back, or None."""
+        """Return the first sample at which coordinate i moves backwards, or None."""
         back = np.flatnonzero(self.behind[:, i])
         return int(back[0]) if len(back) else None
 

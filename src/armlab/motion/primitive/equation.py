@@ -32,7 +32,7 @@ def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[fl
 
 
 def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and widths (n_basis,) of kernels in the phase.
+    """Return centres and widths (n_basis,) of the kernels along the phase.
 
     Spacing "time" is uniform in time; each width is `factor` times the distance between centres. Spacing "phase" is
     uniform in the phase, as in DynamicMovementPrimitives.jl. The phase ends at exp(-decay), with decay = alpha_x
@@ -106,7 +106,8 @@ class Equation:
             check_name(getattr(self, name), name, names)
         if self.scaling == "rotate" and (self.n != 3 or self.schedule == "position"):
             raise ConfigError(
-                f"Expected three coordinates with one phase for scaling 'rotate', got {self.n} with schedule "
+                "Expected three coordinates with one phase for scaling "
+                f"'rotate', got {self.n} coordinates with schedule "
                 f"{self.schedule!r}. Use scaling 'goal'."
             )
 
@@ -188,7 +189,8 @@ class Equation:
         return self._primitive.basis(numbers(x, "x", ShapeError))
 
     def forcing(self, x: ArrayLike) -> np.ndarray:
-        """Return the forcing (..., n) of the demonstration: ``(psi(x) w)`` times x, or times the fade-out of "time".
+        """Return the forcing (..., n) of the demonstration: ``(psi(x) w)`` times x or, with schedule "time", times the
+        fade-out factor.
 
         Parameters
         ----------

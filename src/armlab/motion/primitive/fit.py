@@ -70,7 +70,7 @@ def fit_dmp(
     alpha_z, beta_z : spring constants; default of beta_z: alpha_z / 4, for critical damping.
     ridge : penalty on the squared weights; `cov` accounts for the noise, but not for the bias due to the penalty.
     pin : names among "y0", "v0" and "g" that are taken from the first and last samples instead of fitted. A free goal
-        can hardly be separated from the forcing.
+        is hardly distinguishable from the forcing term.
     hold : standstill time at the goal after the end, divided by the duration of the motion; 0 if the motion does not
         end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.
@@ -82,8 +82,8 @@ def fit_dmp(
 
     Returns
     -------
-    Fit of a `Dmp`. `residuals` (N, n) are position residuals for "trajectory", otherwise residuals of f; `report`
-    contains the RMSE of the motion.
+    Result of fitting a `Dmp`. `residuals` (N, n) are position residuals for "trajectory", otherwise residuals of f;
+    `report` contains the RMSE of the motion.
 
     Raises
     ------

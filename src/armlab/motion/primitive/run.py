@@ -25,7 +25,7 @@ LONGEST = 1e4  # maximum run time in time constants; each takes the solver one o
 
 
 class RunOptions(TypedDict, total=False):
-    """Options of a run of a `Dmp`; omitted options and None take the values of the demonstration."""
+    """Options of a run of a `Dmp`; options that are omitted or None take the values of the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -85,7 +85,7 @@ class RunParameters:
     ) -> RunParameters:
         """Fill in omitted `RunOptions` from the demonstration.
 
-        `runs` is the number of runs, or 1 if the shapes of the arguments determine it; with None, a single run has
+        `runs` is the number of runs, or 1 to infer it from the shapes of the arguments; None selects a single run with
         arrays (n,).
         """
         tau = _tau(dmp, duration, tau_d)
@@ -177,7 +177,8 @@ def check_goal(dmp: Equation, g: np.ndarray) -> None:
 
 
 def goal_scale(dmp: Equation, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return the displacement divided by that of the demonstration (..., n); 1 if the latter is too small."""
+    """Return the ratio (..., n) of the displacement to the demonstrated displacement; 1 if the demonstrated
+    displacement is too small."""
     way = dmp.g - dmp.y0
     still = np.zeros(dmp.n, dtype=bool)
     still[list(dmp.unscaled)] = True
@@ -195,8 +196,8 @@ def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     axis, cosine = np.cross(u, v), float(u @ v)
     if cosine < 0 and np.linalg.norm(axis) < HALF_TURN:
         raise ShapeError(
-            "Expected a displacement that is not opposite to that of the demonstration, got half a turn, whose axis "
-            "is ambiguous. Use an intermediate goal."
+            "Expected a displacement that is not opposite to that of the demonstration, got "
+            "a rotation by half a turn, whose axis is ambiguous. Use an intermediate goal."
         )
     skew = so3.hat(axis)
     return b / a * (np.eye(3) + skew + skew @ skew / (1.0 + cosine))
@@ -229,7 +230,7 @@ class Stepper:
     Raises
     ------
     UnknownName : unknown goal_forcing.
-    ConfigError : "scale" without scaling "goal", a negative goal_rate.
+    ConfigError : "scale" without scaling "goal", or a negative goal_rate.
     """
 
     def __init__(

@@ -197,7 +197,8 @@ def _covariance(
 ) -> tuple[np.ndarray, float]:
     """Return the covariance of weights and ends for samples of unit variance, and the residual degrees of freedom.
 
-    The unknowns are ``x = G A^T y``, with all samples except the three samples of pinned ends, which shift every row.
+    The unknowns are ``x = G A^T y``, where y contains all samples except the three samples that pin the ends and thus
+    shift every row.
     """
     size = parts[0].kernels.shape[1] + 3 * len(parts)
     cov, spread, dof = np.zeros((size, size)), np.zeros_like(G), 0.0
@@ -291,7 +292,7 @@ def _least_squares(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.ndarr
 
 
 def _kernel_by_kernel(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.ndarray, ...]:
-    """Return weights, unit covariance, triangle and sums of squares."""
+    """Return weights, unit covariance, triangular factor and sums of squares."""
     blank, weights = rows.blank, rows.weights
     bell = blank.kernels(rows.x)
     if problem.raw:

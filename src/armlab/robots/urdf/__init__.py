@@ -1,4 +1,4 @@
-"""URDF: read a file or text into a tree of links and joints, and extract serial arms."""
+"""URDF: parse a file or string into a tree of links and joints, and extract serial arms."""
 
 from armlab.robots.urdf.reading import parse, read
 from armlab.robots.urdf.tree import Mimic, Tree

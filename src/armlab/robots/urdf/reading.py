@@ -273,7 +273,9 @@ def parse_xml(data: str | bytes, file: str) -> Element:
     def document_type(name: str, *_: object) -> None:
         place = Element(name, {}, file, parser.CurrentLineNumber)
         raise place.error(
-            "XML without a document type", "a <!DOCTYPE>", "Remove the document type, because a URDF needs no entities."
+            "XML without a document type",
+            "a <!DOCTYPE>",
+            "Remove the document type declaration, because a URDF needs no entities.",
         )
 
     parser.StartElementHandler = start

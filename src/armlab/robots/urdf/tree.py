@@ -31,7 +31,7 @@ _TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x, which rever
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Link of the file in its own frame.
+    """Link of a URDF file; quantities are in the link frame.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Joint of the file.
+    """Joint of a URDF file.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class Tree:
 
         The base frame is that of the link `base`; the flange frame is that of `tip`. Fixed joints are merged, as are
         the inertias and meshes of all rigidly attached links. Other moving branches are omitted; a warning states their
-        mass. A mimic joint keeps its own position; see `mimic`.
+        mass. A mimic joint remains an independent joint; see `mimic`.
 
         The home posture is a non-singular posture near mid-range. Gravity is `GRAVITY` in the axes of the root. The
         axis of a joint traversed from child to parent is reversed, which preserves the sign of its position. A speed or
@@ -317,7 +317,7 @@ class Tree:
 
 
 def fault(tree: Tree, part: Link | Joint, expected: str, got: object, advice: str = "") -> RobotError:
-    """Return the error about a link or joint, with file and line."""
+    """Return an error about a link or joint that states the file and line."""
     return RobotError(f"Expected {expected} in {tree.file}, line {part.line}, got {got}.{advice and ' '}{advice}")
 
 
@@ -364,7 +364,7 @@ def _check_roots(tree: Tree) -> None:
         waiting += [joint.child for joint in tree.child_joints[name]]
     for joint in tree.joints:
         if joint.child not in reached:  # every link has at most one parent joint, so this joint is on or below a loop
-            raise fault(tree, joint, "joints that lead away from one root", f"a loop through joint {joint.name!r}")
+            raise fault(tree, joint, "joints directed away from a single root", f"a loop through joint {joint.name!r}")
 
 
 def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, float, float]:
@@ -514,7 +514,8 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
             massless.append(step.joint.name)
     if weightless:
         warnings.warn(
-            f"Expected a mass with every inertia in {tree.file}, got mass 0 in {', '.join(weightless)}. These links "
+            "Expected a nonzero mass for every link with an inertia in "
+            f"{tree.file}, got mass 0 in {', '.join(weightless)}. These links "
             "are used without inertia.",
             stacklevel=3,
         )
@@ -529,7 +530,8 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
 
 
 def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
-    """Return gravity in base axes, and the assumption behind it as text: upright root, joints above the base at 0."""
+    """Return gravity in base axes, and the underlying assumption as text: root upright, joints between root and base at
+    0."""
     R, moving = np.eye(3), []
     for joint in _ancestry(tree, base):
         R = joint.T_parent_child[:3, :3] @ R
@@ -539,11 +541,11 @@ def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
 
 
 def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[str], gravity: str) -> str:
-    """Return the sources of the numbers and the omissions, one per line."""
+    """Return notes on the sources of the numbers and on omitted parts, one per line."""
     notes = {
         "geometry": f"{Path(tree.file).name}, from {base!r} to {tip!r}",
         "gravity": gravity,
-        "accelerations": "assumption: full speed in 0.1 s",
+        "accelerations": "assumption: full speed is reached in 0.1 s",
         "unknown mass behind": ", ".join(massless),
         "omitted branches behind": ", ".join(_side_branches(tree, steps)),
         "mimic joints": ", ".join(step.joint.name for step in steps if step.joint.follows),

@@ -115,7 +115,8 @@ def _joint(robot: Robot, i: int, parent: str, child: str, friction: tuple[float,
 
 
 def _limit(value: float) -> str:
-    """Return the text of a limit: 1e9 [rad, m, rad/s, m/s, N m, N] for infinity, which is read back as infinite."""
+    """Return a limit as text; infinity becomes 1e9 [rad, m, rad/s, m/s, N m, N], which the reader converts back to
+    infinity."""
     return _number(value) if np.isfinite(value) else ("1e9" if value > 0 else "-1e9")
 
 

@@ -311,8 +311,8 @@ class SimulatedArm:
             raise RobotError.no_robot(robot)
         if len(truth.pi) != robot.n:
             raise ShapeError(
-                f"Expected a truth for the {robot.n} joints of robot {robot.name!r}, got a truth for {len(truth.pi)} "
-                "joints."
+                f"Expected true parameters for the {robot.n} joints of robot {robot.name!r}, got true parameters for "
+                f"{len(truth.pi)} joints."
             )
         self.mismatch = mismatch = mismatch or Mismatch()
         self.robot, self.built, self.period = robot, built_robot(mismatch, robot), period

@@ -126,7 +126,7 @@ class Mismatch(Shown):
 
 
 def draw(mismatch: Mismatch, name: str, *shape: int) -> np.ndarray:
-    """Return errors uniformly distributed between minus and plus the parameter, the same in every call."""
+    """Return errors drawn uniformly between minus and plus the parameter; every call returns the same values."""
     return float(getattr(mismatch, name)) * _random(mismatch, name).uniform(-1.0, 1.0, shape)
 
 
@@ -157,7 +157,7 @@ def built_robot(mismatch: Mismatch, robot: Robot) -> Robot:
 
 
 def built_truth(mismatch: Mismatch, truth: Truth, robot: Robot) -> Truth:
-    """Return the truth as built, with errors in bodies, friction, torque limits and quantisation."""
+    """Return the ground truth of the arm as built, with errors in bodies, friction, torque limits and quantisation."""
     from armlab.robots import inertia
 
     n, changed = robot.n, {}

@@ -1,8 +1,8 @@
-"""Synthetic truth of the simulated arms: masses, friction, ripple and noise, assumed rather than measured.
+"""Synthetic true parameters of the simulated arms: masses, friction, ripple and noise, assumed rather than measured.
 
-Masses and inertias are taken from the robot's description, or invented for a few library robots without masses.
-Manufacturers do not publish drive parameters. As ground truth for identification and force estimation, drive parameters
-are invented in plausible proportion to the torque limits. Packets contain only the drives' torque command and gravity
+Masses and inertias are taken from the robot's description, or assumed for a few library robots without masses.
+Manufacturers do not publish drive parameters. As ground truth for identification and force estimation, plausible drive
+parameters are generated in proportion to the torque limits. Packets contain only the drives' torque command and gravity
 feedforward, which no part of armlab reads. docs/theory/simulated_arm.md describes the rules.
 """
 
@@ -74,7 +74,7 @@ class Truth(Shown):
             object.__setattr__(self, field.name, value)
 
     def without(self, *effects: str) -> Truth:
-        """Return the truth without the given effects.
+        """Return the true parameters without the given effects.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Truth(Shown):
         return replace(self, **{name: none for effect in effects for name in columns[effect]})
 
     def with_payload(self, mass: float, centre: np.ndarray) -> Truth:
-        """Return the truth with a point mass fixed to the last link.
+        """Return the ground truth with a point mass added to the last link.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ _SIZES = {
 
 
 def _invented(robot: Robot) -> _Sizes | None:
-    """Return the invented parameters of a library robot without masses in its description, otherwise None."""
+    """Return the assumed parameters of a library robot without masses in its description, otherwise None."""
     sizes = _SIZES.get(robot.name)
     return sizes if sizes and robot.inertias is None and len(sizes.mass) == robot.n else None
 
@@ -173,9 +173,10 @@ def no_masses(robot: Robot) -> str:
 
 
 def synthetic_truth(robot: Robot) -> Truth:
-    """Return the synthetic truth: masses from the description, and drive parameters proportional to its torque limits.
+    """Return synthetic true parameters: masses from the description, and drive parameters proportional to its torque
+    limits.
 
-    A few library robots without inertias have invented masses. The torque limit of a joint without an effort limit is
+    A few library robots without inertias have fictitious masses. The torque limit of a joint without an effort limit is
     three times the torque that holds the outstretched arm. Values in `Robot.drives` take precedence.
 
     Parameters
@@ -245,7 +246,7 @@ WEAKEST = 0.05  # assumed minimum ratio of a holding torque to the largest
 
 
 def _torque_limits(robot: Robot) -> np.ndarray:
-    """Return the torque or force limits (n,); default: three times the torque that holds the outstretched arm."""
+    """Return the torque or force limits (n,); default: three times the torque required to hold the outstretched arm."""
     if np.isfinite(robot.tau_max).all() or robot.inertias is None:
         return robot.tau_max
     mass, g = robot.inertias[:, 0], max(float(np.linalg.norm(robot.gravity)), 9.8)

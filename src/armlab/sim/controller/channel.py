@@ -100,7 +100,7 @@ class UdpClient:
     def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
         """Wait for the reply to the packet just sent; return False on timeout.
 
-        No reply is needed to a packet that a fault discards, or to a streaming packet. While the peer's port is not
+        Packets discarded by a fault and streaming packets need no reply. While the peer's port is not
         bound, the packet is resent. After waiting once for a peer that has never replied, the controller sends one
         packet per period.
         """
@@ -131,7 +131,7 @@ class UdpClient:
         return True
 
     def _listens(self) -> float:
-        """Return how long to wait for a peer that may only listen [s]; infinite if the peer must answer."""
+        """Return how long [s] to wait for a peer that may only listen; infinite if the peer must answer."""
         if self._has_answered or self.controller.phase != "streaming":
             return math.inf
         first, self._is_first = self._is_first, False

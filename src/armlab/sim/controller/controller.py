@@ -1,12 +1,13 @@
 """`SimulatedController`: one motion task of the simulated robot controller, without sockets.
 
-Each cycle follows ABB (3HAC073318-001, section 2.3): build and send the packet, take at most one message from a FIFO
-queue, and move. Without a message, the last reference stays in effect, including its speed. The reply to a packet takes
-effect in the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, reported after 1 s by an
-event.
+Each cycle follows ABB's manual (3HAC073318-001, section 2.3): build and send the packet, take at most one message from
+a FIFO queue, and move. Without a message, the last reference stays in effect, including its speed. The reply to a
+packet takes effect in the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, reported after
+1 s by an event.
 
 Phases: ``streaming`` (packets report STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
-``paused`` (no packets) -> the next session or ``over``. Guidance returns to streaming when the motors or RAPID stop.
+``paused`` (no packets) -> the next session or ``over``. The controller returns from guidance to streaming when the
+motors or RAPID stop.
 
 `ReplyQueue` matches replies to packets by the sequence number echoed in the research extension, else by `tm` in the
 header, else by order. Matching by order is correct only if the peer answers every packet. If several packets share
@@ -97,7 +98,7 @@ class PacketBuilder:
         target: ReferenceDecoder | None = None,
         **condition: Any,
     ) -> bytes:
-        """Return the bytes of a cycle's packet with RAPID's echo of `target` and the fields in `condition`."""
+        """Return the bytes of a cycle's packet, including RAPID's echo of `target` and the fields in `condition`."""
         measured, sample = arm.measure(), arm.sample
         feels = arm.has_torque
         echoed = target if self._data else None
@@ -250,7 +251,7 @@ _SKIP = "Skip this number of replies once, then send one per packet, or use --qu
 class SimulatedController:
     """Motion task of one arm, with one session at a time.
 
-    `wire`: codec of the robot side, or a `PacketBuilder`. `scene`: surroundings, or only a wrench.
+    `wire`: codec of the robot side, or a `PacketBuilder`. `scene`: surroundings of the arm, or only a wrench on it.
     """
 
     arm: SimulatedArm | LaggingArm

@@ -124,7 +124,7 @@ def _real_time(
 
 
 def _miss(channels: Sequence[UdpClient], cycles: int) -> None:
-    """Let cycles pass without packets; the arm moves only in the first `_CATCH_UP` cycles."""
+    """Skip cycles without sending packets; the arm moves only in the first `_CATCH_UP` cycles."""
     for channel in channels:
         channel.controller.statistics.counts["skipped"] += cycles
         for _ in range(min(cycles, _CATCH_UP)):

@@ -77,7 +77,7 @@ class Guidance:
         self.utilization = 0.0
 
     def violation(self) -> str:
-        """Return which limit the reference violates, or an empty string."""
+        """Return a phrase that names the limit violated by the reference, or an empty string."""
         outside = self._outside(self.q, _OVERSHOOT)
         far = np.abs(self.q - self._start) > self._settings.max_deviation
         if outside.any():

@@ -1,8 +1,9 @@
 """Robot Web Services of the simulated controller: `VirtualController` keeps its state, `RwsServer` serves HTTP.
 
 RobotWare 6 uses RWS 1.0 (digest authentication, JSON with ``?json=1``); RobotWare 7 uses RWS 2.0 (TLS, basic
-authentication, ``application/hal+json;v=2.0``). Resources and return codes follow public documents and programs; see
-docs/decisions/abb.md. RAPID is not interpreted: starting a task with EGM instructions opens its EGM session.
+authentication, ``application/hal+json;v=2.0``). Resources and return codes follow public documentation and published
+programs; see docs/decisions/abb.md. RAPID is not interpreted: starting a task with EGM instructions opens its EGM
+session.
 """
 
 from __future__ import annotations
@@ -250,7 +251,7 @@ class VirtualController:
 
 @dataclass(frozen=True)
 class _Request:
-    """HTTP request with the groups of its route, its fields and its session."""
+    """HTTP request with its route groups, form and query fields, body and session."""
 
     groups: tuple[str, ...]
     form: Mapping[str, str]

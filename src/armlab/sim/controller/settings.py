@@ -1,4 +1,5 @@
-"""Options of ``armlab sim``, whose help loads this file without NumPy: `ControllerSettings` and `FaultRates`."""
+"""Options of ``armlab sim``: `ControllerSettings` and `FaultRates`; this file loads without NumPy, so the command help
+is fast."""
 
 from __future__ import annotations
 
@@ -70,8 +71,8 @@ class ControllerSettings:
     restart : float
         Time from the end of a session to the start of the next [s].
     program : str
-        "loop" starts another session when a session ends, "once" does not. "stream" only streams, without guidance.
-        "lead-through" streams while a hand leads the arm.
+        "loop" starts another session when a session ends, "once" does not. "stream" sends packets without guidance.
+        "lead-through" streams while a hand guides the arm.
     stream_queue : str
         Treatment of messages that arrive while the controller only streams: "drop", or "keep" for the following
         guidance. The behaviour of a real controller is unknown.
@@ -81,7 +82,7 @@ class ControllerSettings:
     mode : str
         Kind of guidance and required content of messages: "joint" references, a "pose", or corrections of a "path".
     activated : str
-        Mode activated by RAPID; if it differs from `mode`, event 41826 occurs. None: the same mode.
+        Mode activated by RAPID; if it differs from `mode`, event 41826 occurs. None: same as the configured mode.
 
     Raises
     ------
@@ -183,6 +184,6 @@ class FaultRates:
 
     @property
     def any(self) -> bool:
-        """Whether any fault is possible."""
+        """Whether any fault is configured."""
         rates = self.loss, self.duplicate, self.reorder, self.corrupt, *self.delay, self.pause[1]
         return any(rates)

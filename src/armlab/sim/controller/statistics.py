@@ -29,10 +29,10 @@ class ControllerEvent(NamedTuple):
 class Statistics:
     """Counters of one motion task.
 
-    Starved cycles found the queue empty. Overtaken replies were replaced by newer replies. Skipped cycles passed
-    without a packet; overruns are skipped cycles caused by this process. Missed packets had no valid reply within one
-    period. Duplicates repeat the number of the previous reply. The age of a reply is the number of cycles from its
-    packet to its use, at least 1. Times, misses and overruns exclude the first second.
+    A starved cycle is a cycle that finds the queue empty. Overtaken replies were replaced by newer replies. Skipped
+    cycles are cycles without a packet; overruns are skipped cycles caused by this process. Missed packets had no valid
+    reply within one period. Duplicates repeat the number of the previous reply. The age of a reply is the number of
+    cycles from its packet to its use, at least 1. Times, misses and overruns exclude the first second.
     """
 
     def __init__(self) -> None:

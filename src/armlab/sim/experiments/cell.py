@@ -1,7 +1,7 @@
 """Calibration cell with known ground truth: imperfect arm, camera, marker, force sensor and line scanner.
 
-Each experiment has its own generator, ``default_rng([seed, run])``, so equal seeds and runs give equal data in tests,
-benchmarks and examples.
+Each experiment has its own generator, ``default_rng([seed, run])``, so the same seed and run number produce the same
+data in tests, benchmarks and examples.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class CalibrationCell(Shown):
         return sensors.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
 
     def moving_hand_eye(self, run: int = 0, N: int = 60, *, jitter: float = 0.01) -> MovingSights:
-        """Draw two recordings of a moving arm: joint positions at 250 Hz, and camera images with a jittering `clock`.
+        """Simulate two recordings of a moving arm: joint positions at 250 Hz, and camera images with a jittering
+        `clock`.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Kinematic calibration experiments with known ground truth; reordering the code changes the random numbers.
 
 The arm is an IRB 2400 with a perturbed DH table or perturbed frames; poses, distances or a second arm serve as
-measurements. The truth is computed frame by frame, independently of the kernels used by the fits.
+measurements. The ground truth is computed frame by frame, independently of the kernels used by the fits.
 """
 
 from __future__ import annotations

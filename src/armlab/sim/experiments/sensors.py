@@ -1,8 +1,8 @@
 """Sensor experiments with known ground truth: hand-eye at rest and in motion, force sensor, accelerometer, scanner.
 
-Reordering the code changes the random numbers. The scanner hits the plates e_j.x = 1 at ranges of up to 0.2 m. Scans
-are drawn in batches, so their distribution follows the specification, but individual samples do not. Scans nearly
-parallel to a plate are drawn again, because the fit would reject them.
+Reordering the code changes the random numbers. The scanned plates are e_j.x = 1, at ranges of up to 0.2 m. Scans
+are drawn in batches, so their distribution follows the specification, but the individual samples differ. Scans nearly
+parallel to a plate are redrawn, because the fit would reject them.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
 from armlab.wire.egm.types import Drop, Packet, Reference, RobotAxes
 
 NO_POSE = (nan,) * 16
-"""Matrix values of a missing pose."""
+"""Matrix elements of a missing pose."""
 
 
 def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
@@ -150,7 +150,8 @@ class EgmCodec:
     ----------
     capabilities : frozenset of str
         "position", "velocity", "external_axes" and "rapid_data", unless a prismatic joint is among ABB's first six axes
-        and `units` is empty. With the extension, also "measured_torque" and, under the same condition, "torque".
+        and `units` is empty. With the extension, also "measured_torque" and, if the position capability is present,
+        "torque".
     robotware : str
         RobotWare version of this session; "" before its first packet.
     """
@@ -185,7 +186,8 @@ class EgmCodec:
         return found if self._linkage is None else self._linkage.from_axes(found)
 
     def details(self, data: bytes) -> Details | None:
-        """Return the fields of a datagram outside `Packet`, or None for an invalid datagram. Never raises.
+        """Return the fields of a datagram that `Packet` does not contain, or None for an invalid datagram. Never
+        raises.
 
         Parameters
         ----------
@@ -211,7 +213,7 @@ class EgmCodec:
     def encode_pose(self, T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
         """Encode a pose reference as EgmSensor, for `EGMRunPose`.
 
-        The orientation is a quaternion, because Euler angles would override it.
+        The orientation is sent only as a quaternion, because Euler angles would override the quaternion.
 
         Parameters
         ----------

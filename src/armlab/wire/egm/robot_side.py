@@ -163,7 +163,8 @@ class RobotSideCodec:
         return robot.SerializeToString()
 
     def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
-        """Decode the sensor's message, or return the reason for dropping it. Never raises; NaN is kept."""
+        """Decode the sensor's message, or return the reason for dropping it. Never raises an error; NaN values are
+        kept."""
         try:
             sensor = pb.EgmSensor.FromString(data)
             header = sensor.header

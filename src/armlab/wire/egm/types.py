@@ -174,7 +174,8 @@ class StandingQueue:
         self._seconds, self._least = 0.0, 0
 
     def after(self, depth: int, period: float) -> str:
-        """Return a warning in the cycle (`period` seconds) that completes 1 s of a non-empty queue, otherwise ""."""
+        """Return a warning in the cycle (of length `period` [s]) in which the queue has been non-empty for 1 s,
+        otherwise ""."""
         if depth <= 0:
             self._seconds = 0.0
             return ""

@@ -1,8 +1,8 @@
 """Decoder of LabComm streams.
 
 A single generator walks through the stream and waits for missing bytes, so the events do not depend on how the stream
-is split. A packet with a length is decoded once it is complete. If a packet has no correct length (2013, 2006, data of
-2014old), the decoder walks over the content to find the end.
+is split. A packet that states its length is decoded once it is complete. If a packet has no correct length (2013, 2006,
+data of 2014old), the decoder traverses the content to find the end of the packet.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _BY_CODE = {prim.code: prim for prim in PRIMS.values()}
 
 @dataclass
 class SignatureWalk:
-    """Walk over one signature."""
+    """Parse one signature."""
 
     source: Source
     dialect: Dialect
@@ -164,7 +164,7 @@ def definition(
 
 
 def value_end(source: Source, node: Type, pos: int, end: int, wide: bool, limits: Limits) -> Generator[None, None, int]:
-    """Walk over a value to its end; raise `Cut` if the body would be too long."""
+    """Skip to the end of a value; raise `Cut` if the body would be too long."""
     if node.fixed_size is not None:
         pos += node.fixed_size
     elif isinstance(node, Struct):
@@ -242,7 +242,7 @@ def opening(
 
 
 def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None, None, tuple[str, int]]:
-    """Walk over VERSION; return its text and the excess (0 or 1) of its declared length."""
+    """Parse VERSION; return its text and the excess (0 or 1) of its declared length."""
     end = source.at + 2 * HEADER + limits.packet
     _, where = yield from number(source, source.at, end, wide=False)
     declared, begin = yield from number(source, where, end, wide=False)
@@ -276,7 +276,7 @@ class Known:
 
 
 class Tables:
-    """Samples, references and types by index, with the readers of the samples."""
+    """Samples, references and types by index, and the readers for the samples."""
 
     def __init__(self, limits: Limits) -> None:
         self.kinds: dict[Kind, dict[int, SampleType]] = {"sample": {}, "ref": {}, "type": {}}
@@ -409,10 +409,10 @@ class Decoder:
                 yield from self._bare(dialect)
 
     def _packets(self, dialect: Dialect) -> Walk:
-        """Walk over packets with lengths until the dialect changes from 2014 to 2014i.
+        """Walk over packets with a length field until the dialect changes from 2014 to 2014i.
 
         Most packets have the same type as the previous packet. If packets of this type have a fixed size, comparing the
-        heads is sufficient.
+        packet headers is sufficient.
         """
         source, limits = self._source, self._limits
         buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)
@@ -470,7 +470,7 @@ class Decoder:
         return event
 
     def _packet(self, tag: int, cursor: Cursor) -> Event:
-        """Decode a complete packet other than data with a defined index."""
+        """Decode a complete packet that is not a sample with a defined index."""
         if tag in _KINDS:
             return self._define(_KINDS[tag], cursor)
         if tag == TYPE_BINDING:
@@ -490,7 +490,8 @@ class Decoder:
         return Sample(known.index, known.name, known.read(cursor), known.type)
 
     def _define(self, kind: Kind, cursor: Cursor) -> Definition:
-        """Decode a complete definition; in an undecided stream, the first definition distinguishes 2014 from 2014i."""
+        """Decode a complete definition; in a stream of undetermined dialect, the first definition distinguishes 2014
+        from 2014i."""
         dialect = self._dialect or DIALECTS["2014"]
         start, end = cursor.base + cursor.at, cursor.base + cursor.end
         try:
@@ -516,7 +517,7 @@ class Decoder:
         raise Cut  # unreachable for a complete packet
 
     def _bare(self, dialect: Dialect) -> Walk:
-        """Walk over one packet without a length."""
+        """Traverse one packet that has no length field."""
         source, limits = self._source, self._limits
         start = source.at
         tag, pos = yield from number(source, start, start + HEADER, dialect.wide)
@@ -532,10 +533,10 @@ class Decoder:
             self._events.append(event)
             source.at = end
         else:
-            raise _bad(start, "a definition or data of a defined index", f"tag {tag:#x}")
+            raise _bad(start, "a definition, or data with a defined index", f"tag {tag:#x}")
 
     def _measured(self, known: Known, dialect: Dialect, pos: int) -> Walk:
-        """Walk to the end of a value, then decode it."""
+        """Find the end of a value, then decode the value."""
         source, limits, start = self._source, self._limits, self._source.at
         try:
             stop = yield from value_end(source, known.type, pos, pos + limits.packet, dialect.wide, limits)

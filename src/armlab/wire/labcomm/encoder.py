@@ -167,7 +167,7 @@ def _definition(event: Definition, dialect: Dialect) -> bytes:
 
 
 def _packets(dialect: Dialect, index: int, node: Type, write: Writer) -> Callable[[Any], bytes]:
-    """Return the packet writer of a type; the head of a fixed-size packet is computed only once."""
+    """Return the packet writer of a type; the header of a fixed-size packet is computed only once."""
     if node.fixed_size is None and dialect.lengths:
         return lambda value: dialect.packet(index, write(value))
     head = dialect.number(index) + (dialect.number(node.fixed_size or 0) if dialect.lengths else b"")

@@ -162,7 +162,7 @@ class _Parser:
             first = self._peek()
             node, name = self._typed(depth + 1)
             if node == VOID:
-                self._fail(first, "a type with a value for a field")
+                self._fail(first, "a non-void type for a field")
             if name.text in fields:
                 self._fail(name, "an unused field name")
             fields[name.text] = Field(name.text, node, notes)
@@ -187,7 +187,7 @@ class _Parser:
                 self._fail(after, '"," or "]"')
 
     def _notes(self) -> Notes:
-        """Parse notes; skip docs."""
+        """Parse the notes and skip the documentation."""
         notes: dict[str, str] = {}
         while self._peek().text == "(" or self._peek().kind == "quoted":
             token = self._take()

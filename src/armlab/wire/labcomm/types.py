@@ -117,7 +117,7 @@ class _Node:
 
     @property
     def fixed_size(self) -> int | None:
-        """Number of bytes of every value, or None if variable."""
+        """Size of each value in bytes, or None if it varies."""
         return None if self.numbers else self.size
 
     def min_size(self, wide: bool) -> int:

@@ -110,7 +110,7 @@ class Source:
 
 
 def number(source: Source, pos: int, end: int, wide: bool) -> Number:
-    """Walk over a number; `end` is an upper bound for the end of the body."""
+    """Read a number; `end` is an upper bound for the end of the body."""
     if wide:
         if pos + 4 > end:
             raise Cut
@@ -131,7 +131,7 @@ def number(source: Source, pos: int, end: int, wide: bool) -> Number:
 
 
 def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Generator[None, None, tuple[str, int]]:
-    """Walk over the string of a label, which must be valid UTF-8."""
+    """Read the string of a label, which must be valid UTF-8."""
     size, start = yield from number(source, pos, end, wide)
     if size > longest:
         raise LabCommError(f"Expected a name of at most {longest} bytes at byte {pos}, got {size}.", pos)
@@ -148,7 +148,7 @@ def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Genera
 def label(
     source: Source, pos: int, end: int, dialect: Dialect, limits: Limits
 ) -> Generator[None, None, tuple[str, Notes, int]]:
-    """Walk over a name and its notes."""
+    """Skip a name and its notes."""
     if not dialect.maps:
         name, pos = yield from text(source, pos, end, dialect.wide, limits.name)
         return name, (), pos
@@ -353,7 +353,7 @@ def _prim(node: Prim) -> Reader:
 
 
 def _flat(fields: Sequence[Field]) -> Reader:
-    """Return a reader that uses one `struct` call with a slice or an index per field."""
+    """Return a reader that unpacks all fields in one `struct` call, with a slice or an index for each field."""
     form, counts = _flat_forms(fields)
     unpack, size = form.unpack_from, form.size
     names, places, at = [field.name for field in fields], [], 0

@@ -1,7 +1,7 @@
 """LabComm servers and clients over TCP: rows and parameters out, commands in.
 
-`LabCommServer` serves an `ArmChannel` per arm (port 7511 left, 7512 right), and `LabCommClient` is the client.
-``bridge.connect("labcomm://host:7511", robot)`` returns a link that runs a controller over LabComm.
+`LabCommServer` serves one `ArmChannel` per arm (left arm: port 7511, right arm: port 7512), and `LabCommClient` is the
+client. ``bridge.connect("labcomm://host:7511", robot)`` returns a link that runs a controller over LabComm.
 """
 
 from armlab.bridge.servers.labcomm.channels import ArmChannel

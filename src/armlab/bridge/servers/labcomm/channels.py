@@ -144,7 +144,7 @@ class Channel:
         self.counts: Counter[str] = Counter()
 
     def greet(self, peer: Peer) -> None:
-        """Queue the first packets for a client: VERSION and the definition of the sent type."""
+        """Queue the first packets for a client: VERSION and the definition of the type that the channel sends."""
         if peer.encoder is not None:
             peer.push(peer.encoder.version(), may_drop=False)
             if self.sent is not None:
@@ -215,7 +215,7 @@ class ArmChannel(Channel):
         self._send(self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Handle a command; count other samples, which the server reports.
+        """Handle a command; count all other samples for the server's report.
 
         Raises
         ------

@@ -368,7 +368,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class RowPort:
-    """Connection to a LabComm server in place of a UDP port; it never blocks, counts errors and reconnects."""
+    """Connection to a LabComm server in place of a UDP port; it counts errors, reconnects, and never blocks."""
 
     host: str
     port: int

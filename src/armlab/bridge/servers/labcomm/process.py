@@ -42,7 +42,7 @@ def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
 
 
 def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_ns: int) -> FusedSource | None:
-    """Return the last values of a source, or None before its first values."""
+    """Return the last values of a source, or None before the first values have arrived."""
     age_ns = 1e9 * values[f"{name}.age"]
     if not math.isfinite(age_ns):
         return None

@@ -300,7 +300,7 @@ class LabCommServer:
         self.close()
 
     def row(self, name: str, row: Row) -> None:
-        """Publish a row of an arm; never block.
+        """Publish a row of an arm without blocking.
 
         Parameters
         ----------
@@ -336,7 +336,7 @@ class LabCommServer:
         self._publish("fused", (t_us, tuple(arms), tuple(sources)))
 
     def parameter(self, name: str, value: Value) -> None:
-        """Publish a parameter value that has taken effect; never block.
+        """Publish a parameter value that has taken effect, without blocking.
 
         Parameters
         ----------

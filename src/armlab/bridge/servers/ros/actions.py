@@ -48,7 +48,7 @@ _Name = Annotated[str, msgspec.Meta(max_length=256)]
 
 
 class _Duration(msgspec.Struct):
-    """Time or duration in the ROS 1 or ROS 2 dialect."""
+    """Time or duration with the field names of ROS 1 or ROS 2."""
 
     sec: _Whole = 0
     nanosec: _Whole = 0
@@ -217,7 +217,7 @@ class Goals:
             self._loop.ask(Cancel(goal.client, goal.arm, goal.name))
 
     def running(self, arm: str = "", client: str = "", name: str = "") -> list[Goal]:
-        """Return the active goals with the given arm, client or name."""
+        """Return the active goals that match the given arm, client or name."""
         found = tuple(self._goals.values())
         return [one for one in found if arm in ("", one.arm) and client in ("", one.client) and name in ("", one.name)]
 

@@ -108,8 +108,8 @@ def _tie(one: socket.socket) -> None:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, _LOOPBACK)
     except OSError as error:
         raise LinkError(
-            "Expected DDS to be restricted to this computer, got "
-            f"{error.strerror}. This restriction requires Linux 5.7 or newer; "
+            "Expected DDS to be restricted to this computer, but the operating system "
+            f"reported: {error.strerror}. This restriction requires Linux 5.7 or newer; "
             "on other systems, use rosbridge or Zenoh."
         ) from error
 
@@ -139,7 +139,7 @@ _copies: dict[int, Any] = {}
 def untyped_topic(participant: DomainParticipant, name: str, type: Any) -> DdsTopic[Any]:
     """Return a topic whose type is matched by name instead of by XTypes description.
 
-    Cyclone DDS rejects the descriptions of Fast DDS 3 (Kilted), whose sequence elements have no flags.
+    Cyclone DDS rejects the type descriptions of Fast DDS 3 (Kilted), whose sequence elements have no flags.
     """
     topic, c_type = DdsTopic(participant, name, type), ctypes.POINTER(ctypes.c_void_p)()
     if _sertype(topic._ref, ctypes.byref(c_type)) < 0:
@@ -223,8 +223,8 @@ def _described(quality: Qos, type_: str) -> Qos:
 class Graph:
     """Publishes the nodes and their endpoints for `ros2 node`.
 
-    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The newest reader determines the size: since Iron,
-    readers announce a type hash.
+    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The size follows the newest reader: readers from Iron or
+    later announce a type hash.
     """
 
     _TOPIC, _TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"

@@ -68,7 +68,7 @@ class Names:
         return self._endpoint(number, "MS", topic, type, _RELIABLE if type == TRAJECTORY else _BEST_EFFORT)
 
     def service(self, number: int, name: str, type: str) -> str:
-        """Return the token of a service server."""
+        """Return the liveliness token of a service server."""
         return self._endpoint(number, "SS", name, type, _RELIABLE)
 
     def _endpoint(self, number: int, kind: str, topic: str, type: str, quality: str) -> str:
@@ -169,8 +169,9 @@ class RmwZenohServer(RosServer):
         router, commands = options["router"], "rmw_zenoh" in self._loop.about.get("commands", ())
         if router and commands and not is_here(router):
             raise ConfigError(
-                f"Expected no commands through a router on another computer ({router}), because ROS nodes do not "
-                "authenticate. Remove rmw_zenoh from `commands`, or connect nodes through an SSH tunnel."
+                f"Expected a router on this computer, got {router}: ROS nodes do not "
+                "authenticate, so commands from other computers are rejected. Remove "
+                "rmw_zenoh from `commands`, or connect nodes through an SSH tunnel."
             )
         self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
         about = self._domain, str(self._session.zid()), options["distribution"]
@@ -248,7 +249,7 @@ class RmwZenohServer(RosServer):
         """Answer a node's request; called from a Zenoh thread."""
         origin, payload = Origin.read(data_of(query.attachment)), data_of(query.payload)
         if origin is None or payload is None:
-            self.refuse("unknown", f"Expected a request of {service.name} with an attachment of 33 bytes.")
+            self.refuse("unknown", f"Expected a request to {service.name} with an attachment of 33 bytes.")
             return
 
         def send(cdr: bytes) -> None:

@@ -72,7 +72,7 @@ def _set(base: int, members: Collection[int]) -> bytes:
 
 
 def _members(base: int, data: bytes, place: int, order: str) -> list[int]:
-    """Decode a number set."""
+    """Decode a sequence number set."""
     size = min(struct.unpack_from(f"{order}I", data, place)[0], _WINDOW)
     words = struct.unpack_from(f"{order}{(size + 31) // 32}I", data, place + 4)
     return [base + k for k in range(size) if words[k // 32] >> 31 - k % 32 & 1]
@@ -147,7 +147,8 @@ class _Reader:
     partial: dict[int, tuple[bytearray, set[int]]] = field(default_factory=dict)  # data and missing fragments
 
     def join(self, number: int, total: int, size: int, first: int, part: bytes) -> bytes:
-        """Add fragments; return the message once it is complete, otherwise b"". `first` starts at 1."""
+        """Add fragments; return the message once it is complete, otherwise b"". `first` is the number of the first
+        fragment, counted from 1."""
         if not self.next <= number < self.next + _WINDOW or not 0 < total <= min(_LARGEST, _FRAGMENTS * size):
             return b""
         while len(self.partial) >= _PARTIAL and number not in self.partial:
@@ -167,7 +168,7 @@ class _Reader:
             self.early[number] = payload
 
     def skip(self, number: int) -> None:
-        """Skip to a number, because no messages with smaller numbers will arrive."""
+        """Skip to a sequence number, because no messages with smaller numbers will arrive."""
         if number > self.next + _WINDOW:
             self.next = number
             self.early.clear()

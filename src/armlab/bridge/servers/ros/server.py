@@ -1,4 +1,4 @@
-"""`Commands` of ROS nodes, and `RosServer`, the base class of all ROS servers."""
+"""`Commands`, which handles commands from ROS nodes, and `RosServer`, the base class of all ROS servers."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _settings(topic: str, content: Any) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise CommandRefused(f'Expected JSON such as {{"gain": 2.0}} on {topic}, got {error}.') from None
     if not isinstance(values, dict) or not values:
-        raise CommandRefused(f'Expected values by name such as {{"gain": 2.0}} on {topic}, got {content[:80]!r}.')
+        raise CommandRefused(f'Expected named values such as {{"gain": 2.0}} on {topic}, got {content[:80]!r}.')
     return values
 
 

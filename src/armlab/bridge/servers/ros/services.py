@@ -119,19 +119,21 @@ class Settings:
             answer()
 
     def set(self, client: str, values: dict[str, Any], done: Callable[[str], None], now_ns: int) -> None:
-        """Set values together; may be called from any thread."""
+        """Set several parameters together; may be called from any thread."""
         with self._settling():
             unknown = next((name for name in values if name not in self._loop.parameters), None)
             if unknown is not None:
                 why = str(UnknownName.among("parameter", unknown[:80], self._loop.parameters))
                 self._settled.append(partial(done, why))
             elif sum(one.client == client for one in self._waiting) >= _SETTINGS:
-                self._settled.append(partial(done, f"Expected at most {_SETTINGS} unanswered settings. Send fewer."))
+                self._settled.append(
+                    partial(done, f"Expected at most {_SETTINGS} pending requests to set parameters. Send fewer.")
+                )
             else:
                 self._waiting.append(_Setting(client, values, done, now_ns + _ANSWER))
 
     def confirm(self) -> None:
-        """Answer the settings that have taken effect."""
+        """Confirm to the clients the settings that have taken effect."""
         with self._settling():
             for one in [one for one in self._waiting if one.sequence is not None]:
                 about = self._loop.parameters[next(iter(one.values))]
@@ -139,7 +141,8 @@ class Settings:
                     self._settle(one, "")
 
     def refuse(self, message: Mapping[str, Any]) -> bool:
-        """Answer a setting that the loop refused; return False if the message does not answer a setting."""
+        """Answer a settings request that the loop refused; return False if the message is not a reply to such a
+        request."""
         with self._settling():
             asked = [one for one in self._waiting if one.sequence is not None and one.client == message["client"]]
             refused = next((one for one in asked if not one.values.keys().isdisjoint(message["refused"])), None)
@@ -148,7 +151,7 @@ class Settings:
         return refused is not None
 
     def tick(self, now_ns: int) -> None:
-        """Answer the settings that the loop did not answer in time."""
+        """Reply to parameter settings that the loop did not answer in time."""
         with self._settling():
             for one in [one for one in self._waiting if now_ns > one.until_ns]:
                 known = {name: self._loop.parameters[name] for name in one.values}
@@ -157,7 +160,7 @@ class Settings:
                 self._settle(one, f"{why} Current values: {'; '.join(values)}.")
 
     def _ask(self) -> None:
-        """Send the settings that share no parameter with an earlier setting."""
+        """Send each waiting settings request that shares no parameter with an earlier request."""
         taken: set[str] = set()
         for one in list(self._waiting):
             if one.sequence is None and taken.isdisjoint(one.values):

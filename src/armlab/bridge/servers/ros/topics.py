@@ -45,7 +45,7 @@ def store() -> Any:
 
 @cache
 def later() -> Any:
-    """Return the message types since Iron, some of which have changed (rmw_dds_common)."""
+    """Return the message types of Iron and later distributions, some of which have changed (rmw_dds_common)."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)

@@ -68,7 +68,7 @@ class Subscribers:
             self._put(one, data)
 
     def check(self, number: int) -> None:
-        """Handle a polled connection that accepts data again or has been closed."""
+        """Handle a polled connection that has become writable again or has been closed."""
         one = self._connections.get(number)
         if one is not None:
             self._put(one, None)
@@ -265,7 +265,8 @@ class Ros1Process(RosServer):
         return found
 
     def _receive(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Handle messages from the node, given or newly received: subscribers, commands and refused messages."""
+        """Handle the given messages, or newly received messages, from the node: subscribers, commands and refused
+        messages."""
         for message in messages or self._messages():
             client = message.get("client", "")
             if message["kind"] == "subscriber":

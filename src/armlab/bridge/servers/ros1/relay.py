@@ -1,10 +1,10 @@
 """ROS 1 node of `Ros1Process`: a program for the system's Python (3.6 or later) that needs only rospy.
 
-Standard input and output are one message socket for JSON objects. The first input contains "node" and, in "published"
-and "taken", the types by topic. Later inputs contain a "text" for the ROS log, or the "topic" and "id" of a connection
-to close. Outputs have a "kind": first "ready"; then "command" ("refused" if too long), or "subscriber" with the
-connection of a topic's subscriber. rospy negotiates the connection, and the bridge writes the messages. The program
-exits when its input closes, or with an error message when the master disappears.
+Standard input and output share one message socket, which carries JSON objects. The first input contains "node" and, in
+"published" and "taken", the types by topic. Later inputs contain a "text" for the ROS log, or the "topic" and "id" of a
+connection to close. Every output has a "kind". The first is "ready"; later outputs are "command" ("refused" if too
+long), or "subscriber" with the connection of a topic's subscriber. rospy negotiates the connection, and the bridge
+writes the messages. The program exits when its input closes, or with an error message when the master disappears.
 """
 
 import array

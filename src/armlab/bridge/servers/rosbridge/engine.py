@@ -100,7 +100,7 @@ class Subscription:
         self._every_ns = self._most = self._due_ns = 0
 
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
-        """Add an id or change its settings."""
+        """Add a subscription id, or change its settings."""
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
         while len(self._ids) > _IDS:
             del self._ids[next(iter(self._ids))]
@@ -115,7 +115,8 @@ class Subscription:
         return not self._ids
 
     def is_due(self, now_ns: int) -> bool:
-        """Send a queued message if due; return whether a new message would now be sent or queued."""
+        """Send a queued message if due; return whether a new message would now be sent or queued rather than
+        dropped."""
         if self._waiting and now_ns >= self._due_ns:
             self._send(self._waiting.popleft(), now_ns)
         return self._most > 0 or now_ns >= self._due_ns

@@ -176,8 +176,8 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
         except OSError:  # in use at every address or, on some systems, possibly at only one other address
             if is_open:
                 raise ConfigError(
-                    f"Expected no commands from other computers, but the Zenoh router at port {port} listens on every "
-                    "address of this computer, so any client could send commands. Make the router listen only on "
+                    f"Expected a Zenoh router that listens only on this computer, but the router at port {port} "
+                    "listens on every address, so any client could send commands. Make the router listen only on "
                     "127.0.0.1, choose another `port`, or create certificates and users with armlab bridge "
                     "certificates."
                 ) from None
@@ -191,7 +191,7 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
 
 
 def wait_for_router(session: Any, patience: float) -> bool:
-    """Return whether a peer finds a router or another peer within this time [s]."""
+    """Return whether a peer finds a router or another peer before the timeout [s]."""
     until = time.monotonic() + patience
     while not (session.info.routers_zid() or session.info.peers_zid()):
         if time.monotonic() > until:
@@ -273,7 +273,7 @@ _OPTIONS = ("ca", "secret")
 
 
 class LabAddress(NamedTuple):
-    """Address and security of a lab."""
+    """Address and security settings of a lab."""
 
     host: str = "127.0.0.1"
     port: int = PORT
@@ -324,8 +324,8 @@ class LabAddress(NamedTuple):
             except LinkError:
                 if time.monotonic() > until:
                     raise LinkError(
-                        f"Expected a Zenoh router at {where} within {patience:g} s, got no connection. Start one with "
-                        "armlab fleet router, or check the certificates and the password."
+                        f"Expected a Zenoh router at {where} within {patience:g} s, got no connection. Start "
+                        "a router with armlab fleet router, or check the certificates and the password."
                     ) from None
                 time.sleep(_TRIED)
 
