@@ -177,10 +177,10 @@ def test_refused_commands_keep_nothing() -> None:
         (Order("labcomm a", "yumi_left", qd=[[1.0], [2.0, 3.0]]), "7 numbers in qd"),
         (Order("labcomm a", "yumi_left", "up"), r"7 numbers in q for yumi_left, got shape \(0,\)"),
         (Order("labcomm a", "yumi_left", HOME, np.full(7, np.inf)), "finite numbers in qd .* joint 1"),
-        (Order("labcomm a", "yumi_left", HOME, tau=np.zeros(7)), "no torque"),
+        (Order("labcomm a", "yumi_left", HOME, tau=np.zeros(7)), "a command without torque"),
         (Order("labcomm a", "yumi_left"), "a position, a velocity or a torque"),
         (order(arm="yumi_right"), r"arm of this cell \(yumi_left\), got 'yumi_right'"),
-        (order("ros a"), "no commands through ros"),
+        (order("ros a"), "`commands`, got a command through ros"),
     ],
 )
 def test_refused(wrong: Order, words: str) -> None:
@@ -297,7 +297,7 @@ def test_a_trajectory_advances_by_the_time_between_packets_and_its_result_is_tol
     bench(goal("2", motion=second))
     assert (second.begun, second.steps, motion.steps) == ([True], [0.0], [0.0, 0.004])
     assert bench.results[1:] == [
-        ("labcomm a", "1", "aborted", "interrupted", "A newer command replaced this one."),
+        ("labcomm a", "1", "aborted", "interrupted", "A newer command replaced this command."),
         ("labcomm a", "2", "executing", "", ""),
     ]
     second.ending = "arrived"
@@ -331,7 +331,7 @@ def test_goals_that_wait_are_replaced_by_newer_ones_and_cancelled_by_name() -> N
     ]
     for one in waiting:
         bench.arbiter.submit(one)
-    assert bench.results == [("labcomm a", "1", "aborted", "interrupted", "A newer command replaced this one.")]
+    assert bench.results == [("labcomm a", "1", "aborted", "interrupted", "A newer command replaced this command.")]
     bench.arbiter.cancel("web x", "yumi_left", "")
     assert len(bench.results) == 1
     bench.arbiter.cancel("web x", "yumi_left", "2")
@@ -382,7 +382,10 @@ def test_the_newest_64_results_are_kept() -> None:
     bench = Bench()
     for k in range(65):
         bench.arbiter.submit(goal(f"{k}", "ros a"))
-    for k, reason in ((1, "Expected no commands through ros"), (0, "The lease on the arm expired.")):
+    for k, reason in (
+        (1, "Expected a command through a server listed in `commands`, got a command through ros"),
+        (0, "The lease on the arm expired."),
+    ):
         bench.arbiter.renew("ros a", "yumi_left", f"{k}")
         assert bench.results[-1][4].startswith(reason)
 

@@ -104,7 +104,7 @@ def test_a_force_sensor_with_its_calibration(cell_text: str, tmp_path: Path) -> 
         ('name = "yumi"', "name = 3", r"Expected `str`, got `int` - at `\$.name`"),
         ('name = "yumi"', 'name = "../x"', r"regex.*\$.name"),
         ('name = "yumi"', "nam = 1", "unknown field `nam`"),
-        ('name = "yumi"', "name =", "Expected TOML in cell.toml.*line 2"),
+        ('name = "yumi"', "name =", "Expected valid TOML in cell.toml.*line 2"),
         ('"local"]', '"ros9"]', "Invalid enum value 'ros9'"),
         ('"local"]', '"labcomm", "local"]\npace = "ur5e"', "robot of this cell"),
         ('name = "yumi_left"', 'name = "yumi_lef"', "yumi_left"),

@@ -259,8 +259,8 @@ BROKEN = [
     (lambda: laser(scans=SCANS.scans * [1, 1, 2, 2]), "unit directions"),
     (lambda: laser(scans=[*PROFILES[:59], PROFILES[59] * np.nan]), "NaN or Inf in 1 rows: 59"),
     (lambda: laser(scans=[*PROFILES[:59], PROFILES[59][:1]]), "profiles with at least two points"),
-    (lambda: laser(scans=[*PROFILES[:59], np.eye(2)[[0, 1, 0]] * [[1], [1], [-1]]]), "not lines in rows 59"),
-    (lambda: laser(noise=5e-4), "sd of angles"),
+    (lambda: laser(scans=[*PROFILES[:59], np.eye(2)[[0, 1, 0]] * [[1], [1], [-1]]]), "not straight lines in rows 59"),
+    (lambda: laser(noise=5e-4), "sd of line angles"),
     (lambda: laser(scans=PROFILES, noise=LINE), "one sd of raw points"),
     (lambda: laser(limits=(0.2,)), "limits as two positive numbers"),
 ]

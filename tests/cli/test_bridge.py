@@ -126,7 +126,7 @@ def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
     noise = threading.Timer(0.1, lambda: running.event("Still here."))
     noise.start()
-    assert "to answer within 0.05 s" in command(["bridge", "resume"], 1).err
+    assert "an answer from the bridge within 0.05 s, got none" in command(["bridge", "resume"], 1).err
     noise.join()
 
 

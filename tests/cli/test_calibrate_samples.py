@@ -283,7 +283,7 @@ def test_two_files_with_one_clock_are_joined_by_time(tmp_path: Path, command) ->
     named = "t=stamp|time,T_base_tool:rotvec=tcp_{0..5},T_cam_marker:xyzw=pose_{0..6}"
     command([*words, "--columns", named, "-o", tmp_path / "named.toml"])
     assert np.abs(models.load(tmp_path / "named.toml").X - X).max() < 5e-4
-    assert "Expected the columns of T_cam_marker:xyzw in" in command([*words, "--columns", named + "_"], 1).err
+    assert "Expected the columns for T_cam_marker:xyzw in" in command([*words, "--columns", named + "_"], 1).err
     robot = samples_csv(robot, {"t": t, "T_base_tool": moving(t)})
     late = samples_csv(tmp_path / "late.csv", {"t": times + 1e9, "T_cam_marker": seen})
     said = command(["calibrate", "hand-eye", robot, late, "--join", "nearest"], 1).err

@@ -196,7 +196,7 @@ def with_limits(table: Table) -> Table:
         ("good", "against the true wrench", lambda t: t),
         ("bad", "against the true wrench", lambda t: t.with_column("wrench_true", t["wrench_true"] + 20.0)),
         ("good", "against the force sensor", measured),
-        ("bad", "50.0 %), between 0.00 and 3.99 s, have non-finite values", lambda t: flagged(t, INVALID)),
+        ("bad", "50.0 %), between 0.00 and 3.99 s, contain non-finite values", lambda t: flagged(t, INVALID)),
         ("bad", "In 50 % of the rows, every joint torque is within its friction bound", lambda t: flagged(t, STUCK)),
         ("bad", "In 50.0 % of the rows, no wrench at the tool explains", lambda t: flagged(t, INFEASIBLE)),
         ("bad", "50.0 % of the rows are at singular poses", lambda t: flagged(t, SINGULAR)),

@@ -193,7 +193,7 @@ def bent(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
             None,
         ),
         ("bad", "joint 3: 70 %", lambda fit: worse(fit, coverage=np.where(np.arange(7) == 2, 0.7, 0.95)), 0, None),
-        ("good", "as in held-out blocks", lambda fit: fit, 1, None),
+        ("good", "consistent with the held-out blocks", lambda fit: fit, 1, None),
         ("bad", "worse in the test log", lambda fit: fit, 4, None),
         ("bad", "50 % within 2 sigma", lambda fit: fit, 0, 0.5),
         ("bad", "scaled by 4.0", bent, 0, None),

@@ -52,7 +52,7 @@ def test_environment_before_folder_before_user(home: Path) -> None:
         ("sped = 1", "unknown field `sped`.*Known: cell, logs, ports, speed, wait"),
         ('wait = "never"', r"Invalid enum value 'never' - at `\$\.wait`"),
         ("[ports]\na = 70000", r"at `\$\.ports"),
-        ("speed = \n", "Expected TOML in armlab.toml.*line 1"),
+        ("speed = \n", "Expected valid TOML in armlab.toml.*line 1"),
         ("\udcff", "not UTF-8 text"),
     ],
 )

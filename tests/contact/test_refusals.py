@@ -72,7 +72,7 @@ CASES: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "missing", lambda s: hypotheses(ERRORS.with_column("tau_error", ZERO + np.nan), YUMI)),
     (UnknownName, "wrench_true or wrench", lambda s: compare(COMPARED.without("wrench_true"))),
     (UnknownName, "wrench_hat_cov", lambda s: compare(COMPARED.without("wrench_hat_cov"))),
-    (UnknownName, "got no such row among 5000", lambda s: compare(COMPARED.with_column("wrench_true", LOST))),
+    (UnknownName, "got none among 5000 rows", lambda s: compare(COMPARED.with_column("wrench_true", LOST))),
 ]  # fmt: skip
 
 

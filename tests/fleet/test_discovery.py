@@ -47,11 +47,11 @@ def test_robots_and_how_they_do(processes: Callable[..., Started]) -> None:
 
 
 def test_beyond_this_computer_it_asks_for_certificates_and_users() -> None:
-    with pytest.raises(ConfigError, match=r"Expected certificates and users for a router at 0.0.0.0"):
+    with pytest.raises(ConfigError, match=r"Expected certificates and users for the router at 0.0.0.0"):
         Router("0.0.0.0", 0)
     with pytest.raises(ConfigError, match="Expected the address of a network interface"):
         Router("eth0", 0)
-    with pytest.raises(ConfigError, match=r"Expected certificates and users for a router connected to 192.168.1.9:1"):
+    with pytest.raises(ConfigError, match=r"Expected certificates and users for the router connected to 192.168.1.9:1"):
         Router(port=0, connect=["192.168.1.9:1"])
 
 

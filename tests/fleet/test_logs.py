@@ -37,7 +37,7 @@ def test_bad_input_and_a_file_by_two_names(tmp_path: Path, monkeypatch: pytest.M
     for given, error, sentence in (
         ([], LogError, "at least one log, got an empty list"),
         (tmp_path, LogError, f"Expected logs in {tmp_path}, got no "),
-        ([tmp_path / "no.mcap"], LogError, "the missing path .*no.mcap"),
+        ([tmp_path / "no.mcap"], LogError, "a folder of logs, but .*no.mcap does not exist"),
         ([3], ShapeError, "got 3"),
         ([__file__, __file__], ShapeError, "test_logs.py twice"),
     ):
@@ -65,7 +65,7 @@ def test_what_exists_or_cannot_be_named_is_refused(tmp_path: Path) -> None:
     logs = {"a": tmp_path / "logs/a.mcap", "b": tmp_path / "logs/b.mcap"}
     table = Table(np.arange(3.0), {"q": np.zeros((3, 1))})
     for jobs, folder, ending, error, sentence in (
-        (logs, tmp_path, ".csv", ConfigError, r"but 1 already exist, first .*a\.csv.*--force"),
+        (logs, tmp_path, ".csv", ConfigError, r"but 1 already exist, the first being .*a\.csv.*--force"),
         ({k: tmp_path / f"a.{k}" for k in ("mcap", "csv")}, tmp_path / "new", ".mat", ShapeError, "distinct output"),
         ({"a": table}, tmp_path, ".mat", ShapeError, "got a table"),
         ({"a": tmp_path / "a.mcap"}, tmp_path, ".docx", ConfigError, r"Expected a file extension among \.mcap"),

@@ -156,7 +156,7 @@ def test_the_origin_of_a_sphere_or_circle() -> None:
     (lambda: project(RAY, RAY), ShapeError, "Project points on the line"),
     (lambda: project(np.zeros((2, 4)), FLOOR), ShapeError, "points"),
     (lambda: project([np.nan, 0, 0], FLOOR), ShapeError, "missing"),
-    (lambda: project([0, 0, 0], "plane"), ShapeError, "Use the value of a fit"),
+    (lambda: project([0, 0, 0], "plane"), ShapeError, "If this is a fit, pass its value"),
     (lambda: project(Line.of(FLOOR.n, [0, 0, 0]), FLOOR), ShapeError, "got a normal line"),
     (lambda: intersect(RAY, RAY), ShapeError, "distance"),
     (lambda: intersect(FLOOR, Line.of(FLOOR.axes[0], [0, 0, 0])), ShapeError, "got a parallel line"),

@@ -98,7 +98,7 @@ def test_upward_needs_a_side() -> None:
     closed[-1] = closed[0]
     with pytest.raises(NotExcited, match="along="):
         fit_line(closed)
-    with pytest.raises(ShapeError, match="normal direction"):
+    with pytest.raises(ShapeError, match="got a direction perpendicular to it"):
         fit_line(rod(sigma=0.0), along=[0, 1, 0])
 
 

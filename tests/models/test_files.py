@@ -117,7 +117,7 @@ def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tm
         ("rotor = [", "motor = [", ConfigError, "motor|rotor"),
         ("[meta]", "[meta", ConfigError, "TOML model file"),
         ("alpha2 = ", 'alpha2 = "x"\nbeta = ', ConfigError, "alpha2|beta"),
-        ("[meta]", "[meat]", ModelMismatchError, "and a kind of"),
+        ("[meta]", "[meat]", ModelMismatchError, "and a kind among"),
         ("gravity = [", "gravity = [nan,", ConfigError, "gravity"),
         ("qd_peak = [", "peak = [", ConfigError, "peak"),
         ("rotor = [", "rotor = [0.1,", ConfigError, "joints"),

@@ -256,7 +256,7 @@ PRIMITIVES: list[Wrong] = [
     (ConfigError, "got both", lambda: DMP.rollout(U, duration=1.0, tau_d=1.0)),
     (ShapeError, "real numbers", lambda: DMP.rollout(U, v0="fast")),
     (ShapeError, "rollout_batch", lambda: DMP.rollout(U, g=np.zeros((2, 2)))),
-    (ShapeError, r"dt \[s\] from 1e-07 to the duration of 1,", lambda: DMP.rollout(4.0)),  # milliseconds
+    (ShapeError, r"dt \[s\] between 1e-07 and the duration 1,", lambda: DMP.rollout(4.0)),  # milliseconds
     (ShapeError, "n_basis, n", lambda: replace(DMP, weights=np.zeros(3))),
     (ShapeError, "finite weights", lambda: replace(DMP, weights=np.full((6, 2), np.nan))),
     (ShapeError, "centres", lambda: replace(DMP, weights=np.zeros((5, 2)))),
@@ -286,7 +286,7 @@ PRIMITIVES: list[Wrong] = [
     (ShapeError, "a_max to be one number", lambda: shortest_duration(DMP, 1.0, [1.0, 2.0, 3.0])),
     (ShapeError, "increasing times", lambda: PACED.rollout([0.0, 0.0])),
     (ShapeError, r"dt .* above zero", lambda: PACED.stepper().step(-1.0)),
-    (ConfigError, "without a duration", lambda: PACED.stepper(duration=9.0)),
+    (ConfigError, "no duration for a retimed motion", lambda: PACED.stepper(duration=9.0)),
 ]
 DEMONSTRATIONS: list[Wrong] = [
     (ShapeError, "repeated .* rows 2", lambda: fit(t=[0, 1, 1, 2])),
@@ -356,7 +356,7 @@ OBSTACLES: list[Wrong] = [
     (ConfigError, "clearance < reach", lambda: avoiding(SPACE, [], 0.2, 0.1)),
     (ConfigError, "2 or 3 coordinates", lambda: avoiding(SEVEN)),
     (ConfigError, "of 7 coordinates", lambda: avoiding(SPACE, robot=ROBOT)),
-    (ConfigError, "links from 1 to 7, got 8", lambda: avoiding(SEVEN, robot=ROBOT, links={8: NEAR})),
+    (ConfigError, "link numbers from 1 to 7, got 8", lambda: avoiding(SEVEN, robot=ROBOT, links={8: NEAR})),
     (ConfigError, "in joint space", lambda: avoiding(SPACE).controller()),
     (ConfigError, "a robot for the capsules of the tool and links", lambda: avoiding(DMP, [BALL], tool=BALL)),
     (ConfigError, "a robot for the capsules of the tool and links", lambda: avoiding(DMP, [BALL], links={1: BALL})),

@@ -175,7 +175,7 @@ def test_a_running_arm_is_taken_over_at_its_speed() -> None:
         ({"t": [0.0, 1.0], "q": [[0.0], [np.nan]]}, "finite q.*point 1"),
         ({"t": [0.0, 1.0], "q": np.zeros((2, 7)), "qd": np.zeros((2, 6))}, r"qd of shape \(2, 7\)"),
         ({"t": [0.0, 1.0], "q": np.zeros((2, 7)), "qdd": np.zeros((2, 7))}, "velocities together with accelerations"),
-        ({"t": [0.0, 1.0], "q": np.zeros((2, 7)), "qd": np.ones((2, 7))}, "rest at the last point"),
+        ({"t": [0.0, 1.0], "q": np.zeros((2, 7)), "qd": np.ones((2, 7))}, "zero velocities at the last point"),
         ({"t": [0.0, 1.0], "q": np.zeros((2, 2)), "joints": ("a", "a")}, "2 different joint names"),
     ],
 )

@@ -66,7 +66,7 @@ def test_frames_hold_mount_and_tool(yumi: Robot) -> None:
     for T, sentence in (
         (2 * ONE, "to be a pose"),
         (np.diag([-1.0, 1, 1, 1]), "to be a pose"),  # a mirror
-        (ONE + 2e-5 * np.eye(4, k=1), "orthonormal within 1e-05.*project it first"),
+        (ONE + 2e-5 * np.eye(4, k=1), "orthonormal within 1e-05.*project the pose first"),
         (ONE * [1, 1, 1, np.nan], "NaN|be a pose"),
         (np.eye(3), r"to have shape \(4, 4\), got \(3, 3\)"),
         ("up", "to be real numbers, got 'up'"),
@@ -155,7 +155,7 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
 def test_a_rotation_that_is_off_is_refused() -> None:
     links = np.tile(np.eye(4), (2, 1, 1))
     links[1, 0, 1] = 2 * so3.ROTATION_TOLERANCE
-    with pytest.raises(RobotError, match=r"Expected links\[1\] of robot 'r' to be a pose.*project it first"):
+    with pytest.raises(RobotError, match=r"Expected links\[1\] of robot 'r' to be a pose.*project the pose first"):
         robots.from_links("r", links)
     links[1, 0, 1] = so3.ROTATION_TOLERANCE / 2
     assert se3.is_pose(robots.from_links("r", links).links, 1e-14).all()
@@ -294,7 +294,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     "scaled link": (lambda: robots.from_links("r", 2 * LINKS), RobotError, r"Expected links\[0\] of robot 'r'"),
     "one flag for two joints": (
         lambda: robots.from_links("r", LINKS, [True]), RobotError,
-        r"Expected prismatic of robot 'r' \(2 joints\) to have shape \(2,\), got \(1,\)\.",
+        r"Expected `prismatic` of robot 'r' \(2 joints\) to have shape \(2,\), got \(1,\)\.",
     ),
     "a matrix of angles": (
         lambda: robots.from_dh("r", np.zeros((2, 2)), 0, 0), RobotError,
@@ -314,7 +314,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     "half a flag": (lambda: robots.from_links("r", LINKS, [1, 0.5]), RobotError, "Expected Booleans in prismatic"),
     "a convention by name": (
         lambda: robots.from_dh("r", 0, [1, 2], 0, modified="standard"), RobotError,  # type: ignore[arg-type]
-        "Expected modified of robot 'r' to be True or False, got 'standard'",
+        "Expected `modified` of robot 'r' to be True or False, got 'standard'",
     ),
     "33 joints": (lambda: robots.from_dh("r", 0, np.ones(33), 0), RobotError, "Expected at most 32 joints for robot"),
     "one scale": (
@@ -369,7 +369,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
         ({"gravity": [0, 0, np.inf]}, "Expected finite gravity"),
         ({"gravity": [0, 0, np.nan]}, r"Expected numbers in gravity of robot 'r', got NaN at index \(2,\)\."),
         ({"joint_names": ["a"]}, r"Expected 2 different joint_names for robot 'r', got \['a'\]\."),
-        ({"abb_axes": [1, 3]}, r"Expected abb_axes of robot 'r' to contain 1 to 2 exactly once each, got \[1, 3\]\."),
+        ({"abb_axes": [1, 3]}, r"Expected `abb_axes` of robot 'r' to contain 1 to 2 exactly once each, got \[1, 3\]\."),
         ({"side": "up"}, 'to be "left", "right" or "", got \'up\'.'),
         ({"qd_max": [1.0, 2.0, 3.0]}, r"qd_max of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)"),
         ({"q_home": [0.5, np.nan]}, r"Expected numbers in q_home of robot 'r', got NaN at joint 2 \(joint_2\)\."),

@@ -291,7 +291,9 @@ def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
     assert robot.inertias is not None
     odd.chain("body", "right_1")  # what is not on the arm does not matter
     placeholder = urdf.parse(TWO_ARMS.replace('<mass value="0.5"/>', '<mass value="0"/>'))
-    with pytest.warns(UserWarning, match=r"a mass with every inertia.*mass 0 in 'cup' \(line \d+\)"):
+    with pytest.warns(
+        UserWarning, match=r"a nonzero mass for every link with an inertia.*mass 0 in 'cup' \(line \d+\)"
+    ):
         bare = placeholder.chain("body", "cup")
     assert bare.inertias is not None
     assert bare.inertias[-1, 0] == robot.inertias[-1, 0] - 0.5

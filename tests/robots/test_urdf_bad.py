@@ -190,7 +190,7 @@ def survives(text: str | bytes) -> None:
     """A robot, or a sentence of armlab."""
     sentence = "."
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Expected (principal moments|revolute limits|a mass with)")
+        warnings.filterwarnings("ignore", message="Expected (principal moments|revolute limits|a nonzero mass for)")
         try:
             tree = urdf.parse(text)
             for base in ("foot", "lower", None):

@@ -171,7 +171,7 @@ class Arbiter:
         else:
             _, before = self._inbox.get((order.arm, order.client), (0, None))
             self._inbox[order.arm, order.client] = (now, order)
-            self._end(before, "aborted", "interrupted", "A newer command replaced this one.")
+            self._end(before, "aborted", "interrupted", "A newer command replaced this command.")
         if why:
             self._refuse(order, why, now)
 

@@ -354,7 +354,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
         file = msgspec.convert(parsed(text), File, strict=True)
         return replace(_cell(file), text=text)
     except TomlError as error:
-        raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None
+        raise ConfigError(f"Expected valid TOML in {path}: {_line(error)}.") from None
     except (msgspec.ValidationError, ArmlabError) as error:
         raise ConfigError(f"Expected a valid cell in {path}: {_line(error)}.") from None
 

@@ -102,7 +102,7 @@ def fit_hand_eye(
 
     Raises
     ------
-    ShapeError : wrong shapes, rows with NaN, invalid rotations, left-handed axes.
+    ShapeError : wrong shapes, rows with NaN, invalid rotations, or left-handed axes.
     UnknownName : unknown setup.
     NotExcited : too few poses, or an unidentifiable direction (named in the message).
     NotConverged : inconsistent records, for example because of wrong pairing, inverse poses or lengths in millimetres.

@@ -182,7 +182,7 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
     if len(fat):
         raise ShapeError(
             "Expected profiles of flat plates, got profiles that are not straight "
-            "lines in rows {rows_text(fat)}. Crop the profiles to the plate."
+            f"lines in rows {rows_text(fat)}. Crop the profiles to the plate."
         )
     owner = np.repeat(np.arange(N), [len(one) for one in profiles])
     return p, np.array([V[0] for _, _, V in shapes]), np.concatenate(profiles), owner
@@ -224,7 +224,7 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
         text = "no convergence"
         if best is not None:
             text = f"residuals of at least {times(best):.3g} times the given noise"
-            text += f" and {int(best.outliers.sum())} of {scans.N} scans as outliers" if robust else ""
+            text += f" and {int(best.outliers.sum())} of {scans.N} scans flagged as outliers" if robust else ""
         raise misfit(scans, ratio, None if best is None else best.value, text)
     if robust:
         best = nonlinear_least_squares(scans.problem(), best.value.oriented(), robust=True, majority=True)

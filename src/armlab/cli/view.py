@@ -44,7 +44,7 @@ def view(
     reconnects after a restart.
 
     Parameters:
-        what: Log files of one or several arms; with --live, the name of an arm (default: all arms).
+        what: Log files of one or more arms; with --live, the name of an arm (default: all arms).
         live: Show one of your running bridges, or a remote bridge with --zenoh.
         fleet: Show all robots listed by armlab fleet list; --zenoh selects another router or one lab.
             Robots are added as they appear and marked when they disappear.

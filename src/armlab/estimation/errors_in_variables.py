@@ -63,7 +63,7 @@ def total_least_squares(
 
     Raises
     ------
-    ShapeError : wrong shapes, non-finite values (lists the rows), or an invalid covariance.
+    ShapeError : wrong shapes, non-finite values (the message lists the rows), or an invalid covariance.
     NotExcited : too few rows, or indistinguishable columns.
     NotConverged : the weighted iteration did not converge.
 

@@ -77,7 +77,7 @@ class Excitation(Shown):
 
         Parameters
         ----------
-        A : (m, p) whitened design matrix, or its triangle R (p, p).
+        A : (m, p) whitened design matrix, or its triangular factor R (p, p).
         names : names of the p parameters.
         max_condition : largest ratio of the largest singular value to a singular value that still counts towards the
             rank.
@@ -329,7 +329,7 @@ class LinearSolution:
     weights: np.ndarray  # (G,) weights of the classes, 1 / sd
     sigma: np.ndarray  # (G,) standard deviation of the class residuals, corrected for degrees of freedom
     scale: float  # standard deviation of the weighted residuals; 1 for correct weights
-    R: np.ndarray  # (p, p) triangle of the weighted regressor
+    R: np.ndarray  # (p, p) triangular factor of the weighted regressor
     basis: np.ndarray  # (p, r) determined directions, R @ basis orthonormal
     excitation: Excitation
     active: tuple[ActiveBound, ...]

@@ -54,7 +54,9 @@ class Measurement(Shown):
     def __post_init__(self) -> None:
         for name in ("r", "J", "sample", *(("cov",) if self.cov is not None else ())):
             if not isinstance(getattr(self, name), np.ndarray):
-                raise ShapeError(f"Expected a NumPy array as {name} of a measurement. This is a bug in the residual.")
+                raise ShapeError(
+                    f"Expected a NumPy array as {name} of a measurement. This is a bug in the residual function."
+                )
         m, k = self.r.shape if self.r.ndim == 2 else (0, 0)
         given = None if self.cov is None else self.cov.shape
         if not self.sample.size:
@@ -70,7 +72,7 @@ class Measurement(Shown):
         if beside not in (None, (k, k), (m, k, k)) or (beside is not None and self.cov is not None):
             raise ShapeError(
                 f"Expected added of shape ({k}, {k}) or ({m}, {k}, {k}) in addition to estimated noise, got {beside}. "
-                "This is a bug in the residual."
+                "This is a bug in the residual function."
             )
         if self.prior and self.cov is None:
             raise ShapeError("Expected the covariance of a prior, got None. Pass its covariance.")

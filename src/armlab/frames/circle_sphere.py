@@ -57,8 +57,8 @@ def fit_circle(
 
     Raises
     ------
-    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); hints that do not determine the
-        side.
+    ShapeError : points with the wrong shape or with NaN or infinity (the message lists the rows); hints that do not
+        determine the side.
     NotExcited : too few points; points on a short arc or a line; a plane through the origin without a hint.
     """
     cloud = Cloud(p, noise, 3, "circle")

@@ -70,7 +70,7 @@ def marker_pose(
 
     Raises
     ------
-    ShapeError : wrong shapes, or NaN in visible points (lists the rows).
+    ShapeError : wrong shapes, or NaN in visible points (the message lists the rows).
     NotExcited : a marker with fewer than three points, or with collinear points.
 
     References

@@ -81,8 +81,8 @@ def fit_plane(
 
     Raises
     ------
-    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); both hints, or a hint that does
-        not determine the side.
+    ShapeError : points with the wrong shape or with NaN or infinity (the message lists the rows); both hints, or a hint
+        that does not determine the side.
     NotExcited : too few points; collinear points (the message names their direction); a plane through the origin
     without a hint.
     """
@@ -136,7 +136,8 @@ def fit_line(
 
     Raises
     ------
-    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); `along` normal to the line.
+    ShapeError : points with the wrong shape or with NaN or infinity (the message lists the rows); `along` normal to
+        the line.
     NotExcited : too few points; coincident points; coincident first and last points without `along`.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 2, "line")

@@ -167,9 +167,9 @@ COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a 
 class ParameterLayout:
     """Names, units, bounds and positions of p parameters.
 
-    `joints`: (J,) joints with torque. `motors`: (K, n) rows c of angles theta = c q of motors that drive several
-    joints. `owners`: (K,) joint to which each motor belongs. `rotors`: (K,) bool, whether the rotor inertia is
-    identifiable.
+    `joints`: (J,) joints with torque. `motors`: (K, n) rows c such that theta = c q is the angle of a motor that
+    drives several joints. `owners`: (K,) joint to which each motor belongs. `rotors`: (K,) bool, whether the rotor
+    inertia is identifiable.
     """
 
     robot: Robot

@@ -409,7 +409,8 @@ def _misplaced(ratio: float) -> float:
 
 
 def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimise the negative log-likelihood from three initial decay rates; return log parameters and information."""
+    """Minimise the negative log-likelihood from three initial decay rates; return the logarithms of the parameters and
+    their information matrix."""
     from scipy.optimize import minimize
 
     power = e * e

@@ -135,7 +135,7 @@ class IkSolution:
     starts : (...) number of starts used.
     reason : (...) "solved", or the cause of failure:
         "out of reach": the distance from the first joint to the goal exceeds the total length of the links, or every
-        start, even without the limits of revolute joints, ended at a posture where no joint reduces the error;
+        start, even without the limits of revolute joints, ended at a posture where no joint motion reduces the error;
         "limits": only postures outside the limits reach the goal;
         "singular": an error below 1e-4 rad remains near a singular posture after second-order steps, or the only start
         ended at a singular posture; `position_error` and `rotation_error` give the remaining error;

@@ -39,7 +39,7 @@ class IkPath:
         path continues from `q`; otherwise, `q` is the posture with the smallest error.
         "out of reach": the distance from the first joint to the pose exceeds the total length of the links;
         "limits": a joint is at its limit;
-        "singular": no joint reduces the error;
+        "singular": no joint motion reduces the error;
         "jump": the pose is reached on this branch, but the step from the previous row exceeds `max_step`;
         "iterations": the error was still falling at the iteration limit.
     branch_changes : (k,) indices of the rows at which the path breaks and continues on a different branch.

@@ -106,7 +106,7 @@ class ForceSensor(Shown):
 
         Raises
         ------
-        ShapeError : readings or poses of wrong shape.
+        ShapeError : readings or poses of the wrong shape.
         UnknownName : unknown frame.
         """
         if frame not in _FRAMES:
@@ -130,7 +130,7 @@ class ForceSensor(Shown):
 
         Raises
         ------
-        ShapeError : readings or poses of wrong shape.
+        ShapeError : readings or poses of the wrong shape.
         """
         found = self.contact(raw, T_base_tool)
         p = _poses(T_base_tool)[..., :3, :3] @ self.position
@@ -258,7 +258,7 @@ class LaserSensor(Shown):
 
         Raises
         ------
-        ShapeError : points or poses of wrong shape, or invalid poses.
+        ShapeError : points or poses of the wrong shape, or invalid poses.
         """
         p, poses = np.asarray(p, dtype=np.float64), np.asarray(T_base_tool, dtype=np.float64)
         if p.shape[-1:] != (2,) or poses.shape[-2:] != (4, 4):

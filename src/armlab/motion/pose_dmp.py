@@ -39,7 +39,7 @@ LENGTH = 1e-3  # largest error of a quaternion norm that normalisation corrects
 
 
 class PoseRunOptions(TypedDict, total=False):
-    """Options of a run of a `PoseDmp`; omitted options and None take the values of the demonstration."""
+    """Options of a run of a `PoseDmp`; options that are omitted or None take the values of the demonstration."""
 
     duration: float | None
     tau_d: float | None

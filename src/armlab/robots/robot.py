@@ -439,7 +439,7 @@ def _check_names(robot: Robot) -> None:
             raise RobotError(f"Expected {robot.n} different {field} for robot {robot.name!r}, got {list(value)}.")
     if sorted(robot.abb_axes) != list(range(1, robot.n + 1)):
         raise RobotError(
-            f"Expected abb_axes of robot {robot.name!r} to contain 1 to {robot.n} exactly once each, got "
+            f"Expected `abb_axes` of robot {robot.name!r} to contain 1 to {robot.n} exactly once each, got "
             f"{list(robot.abb_axes)}."
         )
     if robot.side not in ("left", "right", ""):

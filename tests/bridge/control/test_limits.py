@@ -74,12 +74,14 @@ def test_a_sliding_joint_may_jump_and_begin_two_centimetres_away() -> None:
 def test_no_first_position_may_be_further_away_than_a_jump(robot: Robot) -> None:
     """It would pass the entry check and be refused as a jump, three times, which ends the run."""
     assert Limits.of(robot, entry=0.1).entry.tolist() == [0.1] * 7
-    with pytest.raises(ConfigError, match=r"entry at most jump for each joint.*got \[0\.3.*\] and \[0\.1"):
+    with pytest.raises(
+        ConfigError, match=r"Limits\.entry to be at most Limits\.jump for each joint.*got \[0\.3.*\] and \[0\.1"
+    ):
         Limits.of(robot, entry=0.3)
     limits = Limits.of(robot)
     far = limits.entry.copy()
     far[6] = 0.1001
-    with pytest.raises(ConfigError, match="entry at most jump"):
+    with pytest.raises(ConfigError, match=r"Limits\.entry to be at most Limits\.jump for each joint"):
         replace(limits, entry=far)
 
 

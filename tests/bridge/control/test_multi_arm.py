@@ -69,7 +69,7 @@ def test_shares_of_a_common_command() -> None:
         (Command(np.zeros(7)), r"Command.q of shape \(14,\), 7 of yumi_left and 7 of yumi_right, got \(7,\)"),
         (Command(qd=np.zeros((2, 7))), r"Command.qd of shape \(14,\)"),
         *(
-            (Command(np.arange(14.0), **{name: np.zeros(1)}), f"no {name} in a Command for all joints")
+            (Command(np.arange(14.0), **{name: np.zeros(1)}), f"no {name} in a single Command for all arms")
             for name in ("q_ext", "rapid_data", "rapid_digital")
         ),
         ((Command(),) * 3, r"got tuple of 3\. Write"),

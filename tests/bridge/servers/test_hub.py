@@ -94,7 +94,8 @@ def test_a_command_becomes_the_controllers(cell: Cell) -> None:
     cell.say(OPERATOR, "command", arm="yumi_left", q=list(HOME))
     cell.row()
     assert cell.texts(OPERATOR, "answer") == [
-        "Expected no commands through local, because `commands` does not list it. 1 commands refused so far."
+        "Expected a command through a server listed in `commands`, got a command through local. "
+        "1 commands refused so far."
     ]
     rows = [m for m in cell.heard("labcomm") if isinstance(m, bytes)]
     assert read_row(cell.exchange.schema, rows[-1]).values["yumi_left.commander"] == "labcomm 1"

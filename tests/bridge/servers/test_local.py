@@ -88,7 +88,7 @@ def test_requests(bench: Bench) -> None:
         feed.ask(Stop())
         assert bench.until(feed, "answer")["text"] == "Done."
         feed.ask(CommandRequest(arm="yumi_left", q=[0.0] * 7))
-        assert "no commands through local" in bench.until(feed, "answer")["text"]
+        assert "`commands`, got a command through local" in bench.until(feed, "answer")["text"]
         assert bench.exchange.arbiter.stopped == "local 1"
         for request in (Resume(), Release()):
             feed.ask(request)

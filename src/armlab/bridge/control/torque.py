@@ -98,13 +98,13 @@ class Torques:
         if "torque" not in self._capabilities:
             able = ", ".join(sorted(self._capabilities)) or "none"
             raise CommandRefused(
-                f"Expected no torque in the Command, but tau is set (references supported by this link: {able}). "
+                f"Expected a Command without torque, but tau is set (references supported by this link: {able}). "
                 "Command q or qd, connect with a codec for torques (extension=True), or run with "
                 'torque="admittance" and a damping per joint.'
             )
         if self._limits.tau_max is None:
             raise CommandRefused(
-                f"Expected no torque in the Command, because {self._robot.name} has no torque limits. "
+                f"Expected a Command without torque, because {self._robot.name} has no torque limits. "
                 "Run with limits=Limits.of(robot, tau_max=...)."
             )
 

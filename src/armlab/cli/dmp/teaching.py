@@ -101,7 +101,7 @@ def read_demonstration(
         table = table.with_column(POSES, armlab.kinematics.forward(arm, table["q"]))
     elif kind == "pose" and not columns and POSES not in table:
         raise ConfigError(
-            f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "
+            f"Expected tool poses in {path}, column {POSES}, got {', '.join(table.names)}. "
             "Add --robot NAME to compute the poses from q, or select their column with --column."
         )
     names = columns or ((POSES,) if kind == "pose" else ("q",))

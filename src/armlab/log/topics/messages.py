@@ -230,7 +230,7 @@ def read_mcap_topics(
 def read_rosbags_topics(
     bag: Any, wanted: Callable[[str, str], bool], into: TopicMessages, progress: Progress | None = None
 ) -> None:
-    """Read topics of a rosbag2 or a ROS 1 bag that `rosbags` has opened."""
+    """Read topics of a rosbag2 folder or a ROS 1 bag that `rosbags` has opened."""
     readers: dict[int, tuple[Any, decode.MessageReader, Callable[[bytes], bytes]]] = {}
     for connection in bag.connections:
         if not wanted(connection.topic, connection.msgtype):

@@ -308,7 +308,7 @@ def read_topics(
 
     Parameters
     ----------
-    path : an MCAP file, a rosbag2 or a ROS 1 bag.
+    path : an MCAP file, a rosbag2 folder or a ROS 1 bag.
     robot : as in `read`.
     progress : called with (done, total, what).
 

@@ -520,5 +520,5 @@ def scara() -> Robot:
         q_max=[2.4, 2.6, 0.18, 6.9],
         qd_max=[6.0, 6.0, 1.0, 20.0],
         q_home=[0.2, 0.4, 0.09, 0.0],
-        source="invented; axes as in ABB's four-axis robots",
+        source="assumed; axes as in ABB's four-axis robots",
     )

@@ -176,13 +176,13 @@ def synthetic_truth(robot: Robot) -> Truth:
     """Return synthetic true parameters: masses from the description, and drive parameters proportional to its torque
     limits.
 
-    A few library robots without inertias have fictitious masses. The torque limit of a joint without an effort limit is
-    three times the torque that holds the outstretched arm. Values in `Robot.drives` take precedence.
+    A few library robots without inertias have assumed masses. The torque limit of a joint without an effort limit is
+    three times the torque required to hold the outstretched arm. Values in `Robot.drives` take precedence.
 
     Parameters
     ----------
     robot : Robot
-        Robot with inertias, or a library robot with invented masses.
+        Robot with inertias, or a library robot with assumed masses.
 
     Returns
     -------
@@ -240,7 +240,7 @@ def synthetic_truth(robot: Robot) -> Truth:
 
 ROTOR_ACCELERATION = 100.0  # rad/s^2 or m/s^2: acceleration of the drive alone at its torque limit
 GEAR, SPINDLE = 100.0, 600.0  # default transmission ratios: gear, and spindle with 10 mm lead [rad/m]
-HOLDING = 3.0  # ratio of the torque limit to the torque that holds the outstretched arm
+HOLDING = 3.0  # ratio of the torque limit to the torque required to hold the outstretched arm
 SHORTEST_LEVER = 0.02  # m
 WEAKEST = 0.05  # assumed minimum ratio of a holding torque to the largest
 

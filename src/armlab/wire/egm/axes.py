@@ -46,7 +46,7 @@ class AxisMap:
     def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
-            raise RobotError(f"Expected abb_axes to be a permutation of 1 to {arm.n}, got {axes}.")
+            raise RobotError(f"Expected `abb_axes` to be a permutation of 1 to {arm.n}, got {axes}.")
         self.n: int = arm.n
         self.head: int = min(arm.n, _HEAD)  # number of joints among ABB's first six axes
         self.tail: int = arm.n - self.head

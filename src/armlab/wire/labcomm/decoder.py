@@ -132,7 +132,7 @@ class SignatureWalk:
     def _part(self, first: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
         node, pos = yield from self.tree(first, depth + 1)
         if node == VOID:
-            raise _bad(first, "a type with a value inside an array or struct", "void")
+            raise _bad(first, "a non-void type inside an array or struct", "void")
         return node, pos
 
 

@@ -98,9 +98,7 @@ def _set(node: object, **values: object) -> None:
 
 def _check_part(node: _Node, what: str) -> None:
     if node.nodes == 1 and not node.size + node.numbers:
-        raise LabCommError(
-            f"Expected a type with a value for {what}, got void, which is allowed only for a whole sample."
-        )
+        raise LabCommError(f"Expected a non-void type for {what}, got void, which is allowed only for a whole sample.")
     if node.depth >= _MAX_DEPTH:
         raise LabCommError(f"Expected at most {_MAX_DEPTH} levels in a type, got more in {what}.")
 

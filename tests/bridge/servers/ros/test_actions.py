@@ -220,7 +220,7 @@ def test_a_newer_goal_of_the_same_client_replaces_the_first(bench: Bench) -> Non
     assert bench.until(wrong)[0] == ABORTED, "a refused goal changes nothing"
     assert not first
     second = bench.send(3, {"trajectory": trajectory((1.0, 0.0))})
-    assert bench.until(first) == (ABORTED, -1, "A newer command replaced this one.")
+    assert bench.until(first) == (ABORTED, -1, "A newer command replaced this command.")
     assert bench.until(second) == (SUCCEEDED, 0, "")
     np.testing.assert_allclose(bench.q, ROBOT.q_home, atol=1e-6)
 
@@ -312,7 +312,7 @@ def test_a_client_may_use_the_name_of_a_goal_again(bench: Bench) -> None:
     ("act", "words"),
     [
         (lambda bench: bench.hub.arbiter.leave("ros2 a"), "The client disconnected."),
-        (lambda bench: bench.hub.arbiter.stop("x") or bench.hub.arbiter.resume("x"), "x ended a stop."),
+        (lambda bench: bench.hub.arbiter.stop("x") or bench.hub.arbiter.resume("x"), "x ended the stop."),
         (lambda bench: setattr(bench, "number", bench.number + 100), "yumi_left was not ready. Send the goal again."),
     ],
     ids=["leave", "resume", "late"],
@@ -421,7 +421,10 @@ def test_no_lease_is_renewed_between_the_parts_of_a_goal(bench: Bench, monkeypat
 
 
 def test_servers_that_only_read_or_do_not_command() -> None:
-    for options, words in (({"allowed": []}, "no commands through ros2"), ({"read_only": ["ros2"]}, "read-only")):
+    for options, words in (
+        ({"allowed": []}, "`commands`, got a command through ros2"),
+        ({"read_only": ["ros2"]}, "read-only"),
+    ):
         with contextlib.closing(Bench(**options)) as bench:
             status, _, text = bench.until(bench.send(1, {"trajectory": trajectory((1.0, 0.1))}))
         assert status == ABORTED
@@ -510,7 +513,7 @@ def test_a_node_runs_trajectories(kind: str, tmp_path: Path, monkeypatch: pytest
     for name, status, code, words in (
         ("2", CANCELED, "-1", "Canceled by ros2"),
         ("3", ABORTED, "-2", "got 'elbow'"),
-        ("4", ABORTED, "-1", "A newer command replaced this one."),
+        ("4", ABORTED, "-1", "A newer command replaced this command."),
         ("5", SUCCEEDED, "0", ""),
     ):
         assert goals[name][:2] == [str(status), code], said

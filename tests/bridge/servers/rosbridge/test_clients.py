@@ -324,7 +324,7 @@ def test_roslib_runs_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ("wrong", -2, "was aborted.*name of a joint, got .*elbow"),
         ("fast", -1, "was aborted.*first point to be near the arm"),
         ("empty", -1, "was aborted.*points, got none"),
-        ("first", -1, "was aborted.*newer command replaced this one"),
+        ("first", -1, "was aborted.*newer command replaced this command"),
     ):
         assert re.search(words, found[name]["error"]), found[name]["error"]
         assert f'"error_code":{code}' in found[name]["error"]

@@ -268,7 +268,7 @@ def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:
     client = bench.client("me")
     for _ in range(65):
         bench.say(client, op="call_service", service="/rosapi/set_param", args=["gain", "1.0"])
-    assert "at most 64 unanswered settings" in bench.heard(client)[0]["values"]
+    assert "at most 64 pending requests to set parameters" in bench.heard(client)[0]["values"]
     bench.loop.declared.set("gain", 0.75, "local 1")
     bench.loop.declared.apply()
     bench.engine.text(bench.loop.tell(), bench.now)

@@ -81,7 +81,7 @@ _INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\n
 
 
 _ANSWER = 1_000_000_000  # ns for the loop to answer a parameter setting
-_SETTINGS = 64  # maximum number of unanswered settings per client; more are treated as a flood
+_SETTINGS = 64  # maximum number of pending requests to set parameters per client; more are treated as a flood
 
 
 @dataclass(eq=False)
