@@ -220,7 +220,7 @@ class Arbiter:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop (operators only); each client must restart near the current position of its arm."""
+        """End a stop (operators only); each client must then restart near the current position of its arm."""
         if self.stopped:
             self.release(who)
             for _, order in self._inbox.values():

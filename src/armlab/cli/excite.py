@@ -165,7 +165,7 @@ def _check_masses(robot: Robot, url: str) -> None:
     from armlab.sim.arm.truth import no_masses
 
     if url.startswith("sim:") and (why := no_masses(robot)):
-        raise ConfigError(f"Expected a robot with masses to excite in simulation, but {why}.")
+        raise ConfigError(f"Expected a robot with link masses, because the excitation is simulated, but {why}.")
 
 
 def _design(

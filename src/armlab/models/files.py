@@ -1,6 +1,6 @@
 """Model files: TOML with provenance and full precision, bound to one robot.
 
-A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
+A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with SHA-256 hashes, robot
 name and hash, and the sign convention of the wrench. Loading rejects a file with a different kind, format or
 sign. Torque models have human-readable tables; other values use the generic format.
 """

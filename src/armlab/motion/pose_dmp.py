@@ -234,7 +234,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
 @dataclass(frozen=True)
 class PoseRun:
-    """One run of position and orientation in the axes of the forcing; A (3, 3) rotates these axes into base axes."""
+    """One run of position and orientation in the axes of the forcing term, which A (3, 3) rotates into base axes."""
 
     A: np.ndarray
     position: RunParameters

@@ -133,7 +133,7 @@ def require_motion(equation: WeightEquation) -> float:
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Raise an error if the readings do not follow gravity although gravity in tool axes varies enough."""
+    """Raise an error if the readings are inconsistent with gravity although gravity in tool axes varies enough."""
     count = np.count_nonzero(kept)
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):

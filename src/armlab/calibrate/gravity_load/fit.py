@@ -82,7 +82,7 @@ def fit_force_sensor(
     ------
     ShapeError : wrong shapes, rows with NaN, invalid rotations, gravity, sign or mass.
     NotExcited : too few samples, or an unidentifiable direction (named in the message).
-    NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings that do not follow gravity.
+    NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings inconsistent with gravity.
 
     References
     ----------
@@ -156,7 +156,7 @@ def fit_accelerometer(
     ------
     ShapeError : wrong shapes, rows with NaN, or invalid rotations.
     NotExcited : too few samples, or an unidentifiable direction (named in the message).
-    NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings that do not follow gravity.
+    NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings inconsistent with gravity.
     """
     RA, note = orientations(T_base_tool, "T_base_tool")
     y = numbers(acc, "acc", ShapeError)
@@ -256,7 +256,7 @@ def _better_of_mirrored(
 
 
 def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnknowns) -> None:
-    """Raise an error if the descent failed because the readings do not follow gravity or because the excitation is too
+    """Raise an error if the descent failed because the readings are inconsistent with gravity or the excitation is too
     small."""
     (one,) = equation.evaluate(best)
     everything = np.ones(equation.N, dtype=bool)

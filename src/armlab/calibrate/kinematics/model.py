@@ -283,7 +283,7 @@ class KinematicProblem:
         return np.concatenate([twists, *joints, state.points.ravel(), state.anchor, state.length])
 
     def gauge(self, state: State, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return the unobservable directions (d, g) of the used unknowns, and their names."""
+        """Return the unobservable directions (d, g) in the space of the fitted unknowns, and their names."""
         arm, a = self.arm, self.arm.size
         inner, names = arm.gauge(state.arm.frames)
         G = np.zeros((self.size, len(names)))

@@ -69,8 +69,8 @@ def fit_dmp(
     convention : choice of alpha_x and tau_d: "lund" or "ijspeert".
     alpha_z, beta_z : spring constants; default of beta_z: alpha_z / 4, for critical damping.
     ridge : penalty on the squared weights; `cov` accounts for the noise, but not for the bias due to the penalty.
-    pin : names among "y0", "v0" and "g" that are taken from the first and last samples instead of fitted. A free goal
-        is hardly distinguishable from the forcing term.
+    pin : names among "y0", "v0" and "g" that are taken from the first and last samples instead of fitted. The effect
+        of a fitted goal is nearly indistinguishable from that of the forcing term.
     hold : standstill time at the goal after the end, divided by the duration of the motion; 0 if the motion does not
         end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.

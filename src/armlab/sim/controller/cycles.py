@@ -92,7 +92,7 @@ def _lockstep(
 def _real_time(
     channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
-    """Keep the schedule ``t0 + k T + phase``; cycles that this process misses pass without packets."""
+    """Keep to the schedule ``t0 + k T + phase``; no packet is sent in a cycle that this process misses."""
     period = channels[0].controller.arm.period
     start = time.monotonic() + period
     due = {phase: start + phase for phase in sorted({channel.phase for channel in channels})}
