@@ -104,7 +104,7 @@ def render(comparison: Comparison | None) -> list[str]:
         lines.append("")
     for what, names in (("Not in the baseline", comparison.new), ("Only in the baseline", comparison.gone)):
         if names:
-            lines += [f"{what}: {'; '.join(names)}.", ""]
+            lines += [f"{what}:", "", *(f"* {name}" for name in names), ""]
     return lines
 
 

@@ -52,7 +52,7 @@ def _line(seed: int, name: str, runs: int) -> str:
         return f"Seed {seed}, {name}: {markers(seed, runs)}."
     contract = judged(name, seed, runs)
     found = "; ".join(contract[part].text for part in ("efficient", "honest", "consistent", "robust"))
-    return f"Seed {seed}, {name}: {'passed' if contract.passed else 'FAILED'}. {found}."
+    return f"Seed {seed}, {name}: {'passed' if contract.passed else 'FAILED'}; {found}."
 
 
 def judged(name: str, seed: int, runs: int) -> Contract:

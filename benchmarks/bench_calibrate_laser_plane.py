@@ -91,7 +91,7 @@ def _line(seed: int, name: str, runs: int) -> str:
         return f"Seed {seed}, {name}: {judged(name, seed, runs)}."
     contract = contracted(seed, runs)
     found = "; ".join(contract[part].text for part in ("consistent", "honest", "efficient", "robust"))
-    return f"Seed {seed}, {name}, {runs} runs: {'passed' if contract.passed else 'FAILED'}. {found}."
+    return f"Seed {seed}, {name}, {runs} runs: {'passed' if contract.passed else 'FAILED'}; {found}."
 
 
 def judged(name: str, seed: int, runs: int) -> str:

@@ -63,8 +63,8 @@ class Bar:
 
     def text(self) -> str:
         """Return one row of a table."""
-        crb = " ".join(f"{x:.4f}" for x in self.crb)
-        ratios = " ".join(f"{x:.3f}" for x in self.ratios)
+        crb = " ".join("–" if np.isnan(x) else f"{x:.4f}" for x in self.crb)
+        ratios = " ".join("–" if np.isnan(x) else f"{x:.3f}" for x in self.ratios)
         return f"| {self.name} | {crb} | {ratios} | {self.nees:.3f} | {self.missed} | {100 * self.false:.2f} % |"
 
 

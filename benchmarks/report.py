@@ -122,7 +122,7 @@ def _bars(sections: Sequence[Section]) -> list[str]:
     if not judged:
         return []
     reasons = tomllib.loads(REASONS.read_text(encoding="utf-8"))
-    lines = ["## Targets", "", "| benchmark | contender | measured | target | |", "|---|---|---|---|---|"]
+    lines = ["## Targets", "", "| benchmark | contender | measured | target | result |", "|---|---|---|---|---|"]
     for table, figure in judged:
         if figure.over:
             measured, bar = f"{_digits(figure.multiple)} of {figure.over}", f"{figure.bar:.3g}"

@@ -36,6 +36,7 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_figures", "_templates"]
 default_role = "literal"
+smartquotes = False  # it would alter code such as --help and wait="spin" in running text
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # s, generous for a busy machine
 nb_execution_in_temp = True  # files written by notebooks are deleted afterwards

@@ -50,7 +50,8 @@ def enlarge(app: Sphinx, page: nodes.document) -> None:
     """Let wide pictures scroll on a narrow page, and link them to their full size."""
     for image in page.findall(nodes.image):
         path = Path(app.srcdir, image["uri"])
-        if isinstance(image.parent, nodes.figure) and path.is_file() and (get_image_size(path) or (0, 0))[0] >= WIDE:
+        is_alone = isinstance(image.parent, nodes.figure | nodes.paragraph)  # otherwise a thumbnail
+        if is_alone and path.is_file() and (get_image_size(path) or (0, 0))[0] >= WIDE:
             image["classes"].append("wide")
             image.setdefault("width", "100%")
 

@@ -16,6 +16,9 @@ from sphinx.writers.html5 import HTML5Translator
 logger = logging.getLogger(__name__)
 
 NO_BRACES = re.compile(r"\\[dt]?frac\s*\d\d")  # TeX reads one digit, docutils the complete number
+FUNCTION = re.compile(r"<mo>&ApplyFunction;</mo>(?!\s*(?:<mo[^>]*>[(\[]|<mspace))")  # without parentheses or space
+FACTOR = re.compile(r"</m(?:i|n|frac|sub|sup|subsup)>(?=\s*<mi[^>]*>\w+</mi>\s*<mo>&ApplyFunction;)")  # before it
+SPACE = r'\g<0><mspace width="0.1667em"></mspace>'  # as in TeX
 BELOW_ACCENT = re.compile(r'<munderover>(?:(?!</munderover>).)*<mo stretchy="false">', re.DOTALL)
 
 
@@ -33,6 +36,7 @@ def mathml(node: nodes.Node, block: bool) -> str:
         logger.warning("a fraction without braces gets other numbers: %s", node.astext(), location=node)
     if BELOW_ACCENT.search(result):
         logger.warning("a subscript after an accent lands below the letter: %s", node.astext(), location=node)
+    result = FACTOR.sub(SPACE, FUNCTION.sub(SPACE, result))
     return result.replace('accent="true"', 'class="accent"')
 
 

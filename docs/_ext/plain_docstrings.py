@@ -16,8 +16,10 @@ SECTIONS = ("Parameters", "Returns", "Yields", "Raises", "Attributes", "Notes", 
 WITH_ENTRIES = ("Parameters", "Raises", "Attributes")
 LITERAL = re.compile(r"(``.*?``|`.*?`)")
 ENTRY = re.compile(r"(\S.*?) : (.*)")
+TYPE_WIDTH = 80  # characters; longer first lines are prose that wraps
+NUMBER = re.compile(r"np\.float64\((.*?)\)")  # in the representation of a default
+FUNCTION = re.compile(r"<function .*?>+")
 NEXT_ENTRY = re.compile(r"(?<=\.) (?=[\w, *]+ : )")  # several short entries may share a line
-TYPE = re.compile(r"(array|array_like|tuple|list|dict|str|float|int|bool|path|callable|sequence)\b", re.IGNORECASE)
 
 
 class _Pair(NamedTuple):
@@ -58,6 +60,26 @@ def entries(body: list[str]) -> Iterator[tuple[str, list[str]]]:
         yield name, text
 
 
+def unindented(body: list[str]) -> list[str]:
+    """Return the lines that begin at the margin."""
+    return [line for line in body if line[:1].strip()]
+
+
+def bullet(name: str, text: list[str]) -> list[str]:
+    """Return an entry as an item of a list; entries in its lines become a nested list."""
+    first, *others = text
+    short = len(name) + len(first) < TYPE_WIDTH
+    if short and others and others[0] and not first.endswith((".", ",", ":", ";")):  # a type, then prose
+        first = f"*{first}.*" if not re.search(r"[*`|]", first) else f"{first}."
+    lines, margin = [f"* ``{name}``: {escaped(first)}"], "  "
+    for line in others:
+        if match := ENTRY.fullmatch(line):
+            lines, margin = [*lines, "", f"  * ``{match[1]}``: {escaped(match[2])}"], "    "
+        else:
+            lines.append(margin + escaped(line))
+    return lines
+
+
 def escaped(line: str) -> str:
     """Escape bars outside literals, which would be substitutions."""
     parts = LITERAL.split(line)
@@ -75,14 +97,9 @@ def rewrite(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, li
     for title, body in sections(lines):
         if title:
             result += ["", f".. rubric:: {title}", ""]
-        if title in WITH_ENTRIES:
+        if title in WITH_ENTRIES or (title == "Returns" and all(map(ENTRY.fullmatch, unindented(body)))):
             for name, text in entries(body):
-                first, *others = text or [""]
-                if (
-                    others and others[0][:1].isupper() and not first.endswith((".", ",", ":", ";"))
-                ):  # a type, then prose
-                    first = f"*{first}.*" if not re.search(r"[*`|]", first) else f"{first}."
-                result += [f"* ``{name}``: {escaped(first)}", *(f"  {escaped(line)}" for line in others)]
+                result += bullet(name, text or [""])
         else:
             result += prose(body)
     lines[:] = result
@@ -95,16 +112,19 @@ def skip(_app: Sphinx, _what: str, _name: str, thing: Any, is_skipped: bool, _op
 
 def sign(
     _app: Sphinx, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returned: str | None
-) -> tuple[str | None, str | None] | None:
-    """Hide the arguments of classes whose docstring does not document all of them."""
+) -> tuple[str | None, str | None]:
+    """Shorten defaults; hide the arguments of classes whose docstring does not document all of them."""
+    if signature:
+        signature = FUNCTION.sub("...", NUMBER.sub(lambda found: f"{float(found[1]):.4g}", signature))
+    shown = (signature, returned)
     if what != "class" or not signature or not isinstance(thing, type) or issubclass(thing, tuple):
-        return None
+        return shown
     text = thing.__doc__ or ""
     try:
         names = list(inspect.signature(thing).parameters)
     except (TypeError, ValueError):
-        return None
-    return None if all(re.search(rf"\b{name}\b", text) for name in names) else ("", None)
+        return shown
+    return shown if all(re.search(rf"\b{name}\b", text) for name in names) else ("", None)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -17,7 +17,7 @@ def main() -> None:
     q = np.stack([0.8 * S, 0.3 * S + 0.2 * np.sin(np.pi * S) ** 2], axis=1)
     dmp = fit_dmp(T, q, n_basis=30).value
     plots.dmp(dmp, (T, q), [(0.8, [1.2, 0.1])]).savefig("dmp.svg")
-    plots.dmp_phase(dmp).figure.savefig("dmp_phase.svg")  # pyright: ignore[reportAttributeAccessIssue]
+    plots.dmp_phase(dmp).figure.savefig("dmp_phase.svg")
     way = np.outer(S, np.deg2rad([20, 10, -15, -20, 30, 10, -40]))
     shown = kinematics.forward(ROBOT, ROBOT.q_home + way)
     plots.pose_dmp(fit_pose_dmp(T, shown).value, (T, shown)).savefig("pose_dmp.svg")

@@ -144,7 +144,7 @@ def test_docstrings_are_read_as_they_are_meant(built: Path) -> None:
     """Sections have titles, entries are lists of names with prose, fields of named tuples are not listed twice."""
     text = re.sub(r"<[^>]+>", "", (built / "reference" / "kinematics.html").read_text(encoding="utf-8"))
     assert "Parameters" in text
-    assert "q: (…, n) joint positions [rad or m]." in text
+    assert "q: (..., n) joint positions [rad or m]." in text
     assert "----" not in text
     assert "Alias for field number" not in (built / "reference" / "wire.html").read_text(encoding="utf-8")
 

@@ -74,6 +74,8 @@ def fit_hand_eye(
 ) -> Fit[HandEye]:
     """Calibrate the poses of the camera and a marker from simultaneous robot and marker poses (hand-eye calibration).
 
+    The equation depends on the setup::
+
         eye_to_hand:  T_base_tool T_tool_marker    = T_base_cam T_cam_marker
         eye_in_hand:  T_base_tool^-1 T_base_marker = T_tool_cam T_cam_marker
 

@@ -73,7 +73,10 @@ def fit_hand_eye_points(
 ) -> Fit[HandEye]:
     """Calibrate a camera (hand-eye) from robot poses and simultaneously observed marker points.
 
-        eye_to_hand:  p_ik = T_base_cam^-1 T_base_tool s_k;   eye_in_hand:  p_ik = T_tool_cam^-1 T_base_tool^-1 s_k
+    The equation depends on the setup::
+
+        eye_to_hand:  p_ik = T_base_cam^-1 T_base_tool s_k
+        eye_in_hand:  p_ik = T_tool_cam^-1 T_base_tool^-1 s_k
 
     Parameters
     ----------

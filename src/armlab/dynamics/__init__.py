@@ -1,5 +1,7 @@
 """Rigid-body dynamics: torques, accelerations, mass and Coriolis matrices, energy, regressors and derivatives.
 
+The equation of motion is::
+
     M(q) qdd + C(q, qd) qd + g(q) = tau + J(q)^T f_ext
 
 All functions are compiled and broadcast over leading axes. Joints are ordered from base to tool; they are revolute

@@ -294,8 +294,8 @@ class MomentumEstimator:
 
     Parameters
     ----------
-    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point, doubt_columns, doubt_cov,
-        doubt_mean : as in `WrenchEstimator`.
+    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior : as in `WrenchEstimator`.
+    point, doubt_columns, doubt_cov, doubt_mean : as in `WrenchEstimator`.
     memory : (n,) correlation time of the torque error [s].
     qd_noise : (n,) standard deviation of the measured velocity.
     rate : (6,) intensity of the random walk of the wrench [N^2/s, (N m)^2/s].
@@ -583,7 +583,7 @@ class RowEncoder:
         always : whether every row has this message, or only rows with one of its columns.
         columns : (start, nothing, optional) per column: its offset in the row, the bytes of a missing value, and
         whether messages without it have a separate template.
-        variants : (message, copies) for each subset of the optional columns, with the first column as the lowest bit;
+        variants : (message, copies) for each subset of the optional columns, with the first column as the lowest bit.
         copies : (offset in the message, offset in the row, bytes) each. The stamp follows the encapsulation.
         is_pose : whether the only copy converts a homogeneous matrix in the row to position xyz and quaternion xyzw.
 

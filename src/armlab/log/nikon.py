@@ -1,5 +1,7 @@
 """Nikon tracker files, in metres: point clouds, planes, and MAT files of poses.
 
+A file of a point cloud contains rows and comments::
+
     [0.000000 , -453.375092 , 310.983154 , -2630.958496 , -96.618225 , 46.868734 , -77.823094 ;
     ...
     0.000000 , -453.825226 , 292.506348 , -2717.404053 , -86.801871 , 48.349143 , -57.017544]

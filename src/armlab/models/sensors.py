@@ -158,6 +158,8 @@ def _poses(T_base_tool: np.ndarray) -> np.ndarray:
 class Accelerometer(Shown):
     """Accelerometer on the tool; at rest, its reading is g, directed upwards.
 
+    The reading at acceleration a is::
+
         y = scale R_tool_sensor^T R_base_tool^T (a - g) + b
 
     Attributes
@@ -276,6 +278,8 @@ FRAMES = {"eye_to_hand": ("T_tool_marker", "T_base_cam"), "eye_in_hand": ("T_bas
 @dataclass(frozen=True, eq=False, repr=False)
 class HandEye(Shown):
     """The two poses that close the hand-eye loop.
+
+    The equation depends on the setup::
 
         eye_to_hand:  T_base_tool T_tool_marker     = T_base_cam T_cam_marker
         eye_in_hand:  T_base_tool^-1 T_base_marker  = T_tool_cam T_cam_marker

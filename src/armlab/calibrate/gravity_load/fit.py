@@ -134,6 +134,8 @@ def fit_accelerometer(
 ) -> Fit[Accelerometer]:
     """Fit the axes and bias of an accelerometer to readings at rest in many tool orientations.
 
+    The model of a reading is::
+
         y_i = -scale R_tool_sensor^T R_base_tool,i^T g + b
 
     Parameters
