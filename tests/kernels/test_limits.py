@@ -132,6 +132,10 @@ def test_the_longest_jump_is_allowed() -> None:
 def test_a_position_reached_is_that_one_to_the_last_bit() -> None:
     for q in np.random.default_rng(3).uniform(-1.5e-4, 1.5e-4, (200, 1)):
         np.testing.assert_array_equal(kernels.limit_reference(np.zeros((3, 1)), bounds(1), T, q)[0][0], q)
+    limits = bounds(1, reach=np.inf, speed=10.0, acceleration=1.0)
+    farthest = np.array([0.25])  # one step of acceleration from rest: a T^2, without rounding
+    sent, *_ = kernels.limit_reference(np.zeros((3, 1)), limits, 0.5, farthest, farthest)
+    assert sent[:, 0].tolist() == [0.25, 0.5, 0.5]
 
 
 def test_a_speed_within_the_limits_is_sent_to_the_last_bit() -> None:

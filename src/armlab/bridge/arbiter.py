@@ -152,7 +152,7 @@ class Arbiter:
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
-        """Return whether a client commands an arm, or could take control because all arms are free."""
+        """Return whether a client commands an arm, or is allowed to take control and all arms are free."""
         holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 

@@ -53,7 +53,7 @@ _CODES = {
     -1073445859: "another program or the pendant holds mastership. Release it there",
     -1073445862: "another program or the pendant holds mastership. Release it there",
     -1073445867: "the user lacks the required grant. Add the grant in the controller's user authorisation system",
-    -1073445863: "the user lacks the required grant. Add the grant in the controller's user authorisation",
+    -1073445863: "the user lacks the required grant. Add the grant in the controller's user authorisation system",
     -1073442809: "RAPID is running. Stop it first",
     -1073442802: "RAPID found a semantic error, such as a second main routine. Check the program on the pendant",
     -1073442803: "RAPID found a syntax error. Check the module",

@@ -58,8 +58,8 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     wrong = off > so3.ROTATION_TOLERANCE
     if wrong.any():
         raise ShapeError(
-            f"Expected rotations in {name}, got matrices that deviate by up to {off.max():.2g} in rows "
-            f"{rows_text(np.flatnonzero(wrong))}. Project the matrices "
+            f"Expected rotations in {name}, got matrices that deviate by up to {off.max():.2g} from "
+            f"orthonormality in rows {rows_text(np.flatnonzero(wrong))}. Project the matrices "
             "with lie.so3.project if they are meant to be rotations."
         )
     mirrored = np.flatnonzero(np.linalg.det(R) < 0)

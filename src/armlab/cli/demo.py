@@ -312,7 +312,7 @@ class DemoVerdict:
 def judge(table: Table, plan: Plan) -> DemoVerdict:
     """Compare the recorded live estimate with the operator's forces.
 
-    Cycles without an estimate are ignored; if their fraction exceeds MAX_HOLES, the target is missed.
+    Cycles without an estimate are ignored; if their fraction exceeds MAX_HOLES, this counts as a missed target.
     """
     import numpy as np
 

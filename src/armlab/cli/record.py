@@ -81,7 +81,7 @@ _STEPS = """Lead-through, step by step:
 
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
-    """Return one link URL per arm, which listens on all network interfaces."""
+    """Return one link URL per arm; the links listen on all network interfaces."""
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. For example: armlab record yumi_left -o run.mcap.")
     numbers = known_ports(arms) if port is None else ports_in(port)

@@ -122,8 +122,8 @@ def export(
         if away > 0.0:
             note(
                 "No physically consistent inertias reproduce the torques "
-                "of this model: the exported base parameters differ by "
-                f"{away:.2g} standard deviations in total. To reduce the "
+                "of this model: the exported base parameters differ from those of the "
+                f"model by {away:.2g} standard deviations in total. To reduce the "
                 "uncertainty of the parameters, record a log with a richer motion."
             )
         if target.suffix == ".toml":

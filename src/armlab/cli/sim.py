@@ -460,7 +460,7 @@ class _SharedOptions:
             if robot.inertias is not None and math.inf in robot.tau_max:
                 note(
                     f"note: {robot.name} has joints without an effort limit. Their "
-                    "drives are sized for the torque needed to hold the outstretched arm"
+                    "drives are scaled from the torque needed to hold the outstretched arm"
                 )
             return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
         unusable = {"operator": self.around.operator and not index, "grip": self.around.grip and not index}

@@ -84,7 +84,7 @@ def fit_plane(
     ShapeError : points with the wrong shape or with NaN or infinity (the message lists the rows); both hints, or a hint
         that does not determine the side.
     NotExcited : too few points; collinear points (the message names their direction); a plane through the origin
-    without a hint.
+        without a hint.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 3, "plane")
     p, sigma = cloud.p, cloud.sigma

@@ -84,7 +84,7 @@ class Graph:
         Raises
         ------
         FrameError : an unknown name (the message lists the known names), or two frames without a path (the message
-        names both).
+            names both).
         """
         _require_known((a, *via, b), self.names)
         if not via:

@@ -66,7 +66,7 @@ class Clock:
 
     @property
     def pieces(self) -> list[int]:
-        """First row and number of rows of each segment without a gap of more than `BRIDGED` rows."""
+        """First row of each segment without a gap of more than `BRIDGED` rows, followed by the total number of rows."""
         return _pieces(self.index)
 
     @property

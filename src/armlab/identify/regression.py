@@ -3,7 +3,7 @@
 All joints share the base-parameter columns. Each joint has its own columns: viscous, Coulomb and offset; Stribeck, root
 and load if selected (`armlab.identify.friction_structure`). With known gears, each joint also has the cosine and sine
 of the ripple line at twice the gear ratio, because strain-wave gears engage twice per input revolution. Robot files
-without gears imply a gear ratio of 1. A ripple line at this ratio would be a harmonic of gravity, so `fit_dynamics`
+without gears imply a gear ratio of 1. The ripple line for this ratio would be a harmonic of gravity, so `fit_dynamics`
 searches the residual for lines instead.
 
 A motor that drives several joints, as in many wrists, adds three shared columns. The motor angle is ``theta = c q``;

@@ -31,7 +31,7 @@ RAMP = 4.0  # 1/s, rate of change of the speed: from full speed to rest in 0.25 
 Arms = Robot | Sequence[Robot]
 """One arm, or several arms that move together."""
 Pace = tuple[float, float, float]
-"""Speed at the last packet and current speed, as fractions of the nominal speed, and rate of change [1/s]."""
+"""Speed at the last packet and current speed, as fractions of the nominal speed; rate of change from now on [1/s]."""
 
 
 class JointLimits(Protocol):

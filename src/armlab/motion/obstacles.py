@@ -259,9 +259,7 @@ def _bodies(robot: Robot, tool: Capsule | None, links: Mapping[int, Capsule]) ->
         held[:, end] = held[:, end] @ T_link_tool[:3, :3].T + T_link_tool[:3, 3]
     wrong = [k for k in links if k not in range(1, robot.n + 1)]
     if wrong:
-        raise ConfigError(
-            f"Expected link numbers from 1 to {robot.n}, got {wrong[0]!r}. Use the key `tool` for the tool."
-        )
+        raise ConfigError(f"Expected link numbers from 1 to {robot.n}, got {wrong[0]!r}. Use `tool` for the tool.")
     return np.array([robot.n, *links], dtype=float), np.concatenate([held, rows_of(links.values(), 3)[:, :7]])
 
 

@@ -383,7 +383,8 @@ def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def orientation(value: ArrayLike, what: str) -> np.ndarray:
-    """Return unit quaternions (..., 4), with the sign for which w of the first quaternion is positive."""
+    """Return unit quaternions (..., 4), with the sign for which the first non-zero component of the first
+    quaternion is positive."""
     q = numbers(value, what, ShapeError)
     if q.shape[-1:] != (4,):
         raise ShapeError(f"Expected {what} to be quaternions wxyz (..., 4), got shape {q.shape}.")

@@ -55,7 +55,7 @@ GOAL_TOLERANCE = Tolerance(0.01, 0.02)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointTrajectory(Shown):
-    """Joint positions at given times, as in a ``trajectory_msgs/JointTrajectory``.
+    """Points of a joint motion at given times, as in a ``trajectory_msgs/JointTrajectory``.
 
     Between points, the motion is a polynomial: linear for positions only, cubic with velocities, quintic with
     velocities and accelerations. If the first point is after time 0, the motion begins at the current position.

@@ -129,7 +129,7 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
 
     Returns
     -------
-    (ceil(N / factor), ...) samples; the first output sample coincides with the first input sample.
+    (ceil(N / factor), ...) samples; the first output sample has the time of the first input sample.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 All operators have ``step(x)`` or ``step(x, t)``, ``run(x)`` or ``run(x, t)`` (bit-identical to a loop over `step`), and
 ``reset(init)``. A sample is a number or an array of constant shape. The step h is `dt` or the time stamp difference, so
-filters keep their time constants under jitter. For a non-finite sample, the filter returns NaN and leaves its state
+filters keep their time constants under jitter. For a non-finite sample, an operator returns NaN and leaves its state
 unchanged.
 """
 

@@ -66,10 +66,10 @@ class Period:
 class RobotClock:
     """Increments of robot time: from feedBack.time if valid, else from tm in the header, else from arrival times.
 
-    A clock that steps back, stops or jumps by more than 1 s is ignored for the current time step. A repeated tm value
-    is too coarse for the cycle time; tm is then ignored, because its next increment would count twice. `believed`
-    bounds the step of a reference: robot time may lead the arrivals of the fastest packets by up to 1 ms or trail them
-    by up to 0.5 s, for example after a network stall.
+    A clock that steps back, stops or jumps by more than 1 s is ignored for the current time step. A clock whose tm
+    repeats is too coarse for the cycle time; tm is ignored from then on, because its next increment would count twice.
+    `believed` bounds the step of a reference: robot time may lead the arrivals of the fastest packets by up to 1 ms or
+    trail them by up to 0.5 s, for example after a network stall.
     """
 
     exact: bool

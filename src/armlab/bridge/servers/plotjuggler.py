@@ -92,7 +92,7 @@ class PlotJugglerServer:
             raise ConfigError(f"Expected an IPv4 address for the option `to` of plotjuggler, got {to}.") from None
         if not is_here and ipaddress.IPv4Address(self._from).is_loopback:
             raise ConfigError(
-                f"Expected --listen plotjuggler=ADDRESS, because {to} is not an address of this computer. Add it."
+                f"Expected --listen plotjuggler=ADDRESS, because {to} is not a loopback address. Add this option."
             )
         self._loop = LoopEnd(feed, lambda: {"{}:{}".format(*self._to): (self._sent, self._lost)})
         self._datagrams = Datagrams(self._loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)

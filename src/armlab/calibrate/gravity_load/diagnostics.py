@@ -166,7 +166,7 @@ def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
         free = Load(turn.R, turn.m * equation.pull, np.zeros(3), np.zeros(3))
         times = turn.m / equation.mass
         if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
-            return f"The readings fit a load {times:.3g} times as heavy as the given mass; check the units."
+            return f"The readings are {times:.3g} times as large as expected; check the units."
     return "Check that sample i was taken at the same time in both records, and that the poses are tool poses."
 
 

@@ -187,7 +187,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[Torque
     -------
     Fit of `models.TorqueModel`: the model with the terms that improve it, or the unchanged model. Torque covariance
     and quality are reassessed: terms fitted without a fifth of the log are validated on that fifth. If the given model
-    was identified from the same log, the model's excess squared error on held-out rows is added to the errors. The
+    was identified from the same log, its excess squared error on held-out rows is added to the squared errors. The
     parameters are the coefficients of the terms, in N m, and the ripple lines; their covariance combines the scatter
     between blocks and the ridge bias. For the parameters of warm-up, see `fit_warm_up`.
 

@@ -37,7 +37,7 @@ _TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "strin
 
 @dataclass(slots=True)
 class _Leaf:
-    """Values of one column read so far, the row count before each value, and the array dimension of its values."""
+    """Values of one column read so far, the row count before each value, and the dimension of non-empty values."""
 
     dtype: Any
     values: list[np.ndarray] = field(default_factory=list)

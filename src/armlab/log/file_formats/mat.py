@@ -153,7 +153,7 @@ def _flags(parts: Iterator[tuple[int, memoryview]], order: str) -> int:
 
 def _check_shape(shape: tuple[int, ...]) -> None:
     if not shape or min(shape) < 0:
-        raise LogError(f"Expected non-negative array dimensions, got {list(shape)[:8]}.")
+        raise LogError(f"Expected at least one array dimension and none below 0, got {list(shape)[:8]}.")
 
 
 def _numbers(kind: int, data: memoryview, order: str) -> np.ndarray:

@@ -160,7 +160,7 @@ class McapWriter:
         return number
 
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
-        """Add a message with its times [ns] to the current chunk; `push` writes the chunk to the file."""
+        """Add a message with its times [ns] to the current chunk; `push` writes the message to the file."""
         length = _MESSAGE_PREFIX + len(data)
         record = _MESSAGE.pack(kinds.MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
         self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)

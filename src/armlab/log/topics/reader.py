@@ -79,7 +79,8 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 
 
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
-    """Return one table per stream, keyed by topic; if a topic has several streams, the keys include a column name."""
+    """Return one table per stream, keyed by topic; if a topic has several streams, the keys include the name of the
+    first column."""
     tables: dict[str, Table] = {}
     counts = Counter(one.topic for one in streams)
     for one in streams:

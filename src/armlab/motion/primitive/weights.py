@@ -117,7 +117,7 @@ def _refined(problem: WeightProblem, learned: Learned) -> Learned:
 
 @dataclass(frozen=True)
 class _MotionRows:
-    """Regression rows: samples, then standstill. Kernels (R, m), ends (R, 3), square roots of weights (R,)."""
+    """Rows of a demonstration: samples, then standstill. Kernels (R, m), ends (R, 3), square roots of weights (R,)."""
 
     kernels: np.ndarray
     ends: np.ndarray

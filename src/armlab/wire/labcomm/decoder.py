@@ -63,7 +63,7 @@ _BY_CODE = {prim.code: prim for prim in PRIMS.values()}
 
 @dataclass
 class SignatureWalk:
-    """Parse one signature."""
+    """Parser of one signature."""
 
     source: Source
     dialect: Dialect

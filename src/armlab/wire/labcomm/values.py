@@ -148,7 +148,7 @@ def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Genera
 def label(
     source: Source, pos: int, end: int, dialect: Dialect, limits: Limits
 ) -> Generator[None, None, tuple[str, Notes, int]]:
-    """Skip a name and its notes."""
+    """Read a name and its notes."""
     if not dialect.maps:
         name, pos = yield from text(source, pos, end, dialect.wide, limits.name)
         return name, (), pos

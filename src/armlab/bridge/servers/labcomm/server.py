@@ -92,7 +92,7 @@ class Ports:
         self._flush_all(channel)
 
     def turn(self) -> bool:
-        """Wait at most 50 ms for client events, handle a limited number of events per client, and return whether any
+        """Wait at most 50 ms for client events, read a limited number of bytes per client, and return whether any event
         arrived."""
         ready = self._selector.select(_CHECK_EVERY)
         served, most = False, max(_TURN // max(len(ready), 1), _LEAST)

@@ -169,9 +169,9 @@ class RmwZenohServer(RosServer):
         router, commands = options["router"], "rmw_zenoh" in self._loop.about.get("commands", ())
         if router and commands and not is_here(router):
             raise ConfigError(
-                f"Expected a router on this computer, got {router}: ROS nodes do not "
-                "authenticate, so commands from other computers are rejected. Remove "
-                "rmw_zenoh from `commands`, or connect nodes through an SSH tunnel."
+                f"Expected a router on this computer, got {router}: ROS nodes do not authenticate, so "
+                "a cell whose `commands` lists rmw_zenoh must not accept commands from other computers. "
+                "Remove rmw_zenoh from `commands`, or connect nodes through an SSH tunnel."
             )
         self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
         about = self._domain, str(self._session.zid()), options["distribution"]
