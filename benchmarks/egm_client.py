@@ -2,14 +2,15 @@
 
 NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "both" for two arms in one loop, "estimator" for
 the contact-force estimator in the loop with the model file MODEL, or the name of a PyPI package, which sends back the
-received joints. All except "spin", which never yields, run with real-time priority if permitted. The client prints
-"ready" when it listens.
+received joints. The bridge records a log in the temporary folder. All except "spin", which never yields, run with
+real-time priority if permitted. The client prints "ready" when it listens.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,11 @@ def bridge(way: str, ports: list[int], file: Path | None) -> None:
             estimator.step(state)
         return Command(state.q_start)
 
+    log = Path(tempfile.gettempdir()) / "run.mcap"
     try:
         with connect([f"egm://127.0.0.1:{port}" for port in ports], arms, extension=True, patience=60.0) as link:
             print("ready", flush=True)
-            link.run(controller, wait="spin" if way == "spin" else "ahead", reconnect="stop")
+            link.run(controller, wait="spin" if way == "spin" else "ahead", reconnect="stop", record=log)
     except SessionEnded:
         pass
 
