@@ -79,7 +79,7 @@ class Recorded:
         return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
 
     def row(self, t: float) -> int:
-        """Return the index of the last row at or before time t [s], or 0 if there is none."""
+        """Return the index of the last row at or before time t [s], or 0 if no row is that early."""
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:

@@ -371,7 +371,7 @@ MEASURED = TORQUES | {"measured_torque"}
 
 
 @pytest.mark.parametrize(
-    ("able", "tau", "told", "mode"),
+    ("able", "tau", "warned", "mode"),
     [
         (MEASURED, None, True, Mode.STOPPING),
         (MEASURED, np.zeros(7), False, Mode.RUNNING),
@@ -379,12 +379,12 @@ MEASURED = TORQUES | {"measured_torque"}
     ],
 )
 def test_a_robot_that_could_take_torques_but_reports_none_is_told(
-    feed: Any, robot: Robot, limits: Limits, able: frozenset[str], tau: Any, told: bool, mode: Mode
+    feed: Any, robot: Robot, limits: Limits, able: frozenset[str], tau: Any, warned: bool, mode: Mode
 ) -> None:
     feed.packets.codec = RobotSideCodec(robot, extension=True)
     bench = Bench(feed, robot, limits, capabilities=able)
     bench.reply(None, tau=tau)
-    assert any("it accepts no torque commands" in text for text in feed.events) == told
+    assert any("it accepts no torque commands" in text for text in feed.events) == warned
     bench.reply(Command(tau=np.ones(7)), tau=tau)
     assert bench.mode is mode
 
