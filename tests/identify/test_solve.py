@@ -22,7 +22,7 @@ def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:
     noise = replace(data, tau=np.random.default_rng(0).standard_normal(data.tau.shape))
     design = Design.build(noise, short_arm.robot, base_parameters(short_arm.robot))
     theta = np.full(len(design.layout.names), 1e-3)
-    assert not linearised(design, theta, "wls").free.any()
+    assert not linearised(design, theta, "wls")[0].free.any()
 
 
 # Least squares with a gain per joint.

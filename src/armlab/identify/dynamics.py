@@ -429,7 +429,7 @@ def _solved(
     design: Design, theta: np.ndarray, settings: FitSettings, block: np.ndarray, length: int
 ) -> tuple[Design, BlockSums]:
     """Return the design with Jacobian columns and its block sums; poorly identified nonlinear parameters are fixed."""
-    sloped = linearised(design, theta, settings.method)
+    sloped, _ = linearised(design, theta, settings.method)
     sums = BlockSums.of(settings.solve(sloped, block[design.rows]))
     spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
     if spread.all():

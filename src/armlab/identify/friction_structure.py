@@ -298,12 +298,12 @@ def _refine(
     """Scale the sign parameter and Stribeck speed by trial factors; keep those that reduce the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
-    for step in (sign * np.log(factor) for factor in factors for sign in (1.0, -1.0)):
-        for way in ways:
-            trial = structure.moved(step * np.array([way]))
+    for step in (np.log(factor) * np.array([way]) for factor in factors for way in ways):
+        for trial in (structure.moved(step), structure.moved(-step)):
             score = float(search.scores(_columns(motion, trial), trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
                 best, structure = score, trial
+                break  # the opposite step leads back
     return structure
 
 

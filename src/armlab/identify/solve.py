@@ -173,8 +173,8 @@ def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) 
     """Take Gauss-Newton steps in the nonlinear parameters while they reduce the residual."""
     cost = _cost(design, theta, trust)
     for _ in range(SHAPE_STEPS):
-        sloped = linearised(design, theta, method, trust)
-        step = np.where(sloped.layout.slopes, solved(sloped, trust, method).x, 0.0)
+        sloped, solution = linearised(design, theta, method, trust)
+        step = np.where(sloped.layout.slopes, solution.x, 0.0)
         for share in SHARES:
             trial = design.with_structure(sloped.moved(share * step))
             found = solved(trial, trust, method).x
@@ -195,12 +195,18 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
     return float(np.sum(np.log(np.maximum(power, 1e-300))))
 
 
-def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
-    """Return the design with derivative columns of the identified nonlinear parameters."""
+def linearised(
+    design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None
+) -> tuple[Design, LinearSolution]:
+    """Return the design with derivative columns of the identified nonlinear parameters, and its solution."""
     sloped = design.with_slopes(theta)
-    free, sd = sloped.free.copy(), solved(sloped, trust, method).sd[sloped.layout.slopes]
-    free[sloped.free] = sd < VAGUE
-    return sloped if np.array_equal(free, sloped.free) else design.with_slopes(theta, free)
+    solution = solved(sloped, trust, method)
+    free = sloped.free.copy()
+    free[sloped.free] = solution.sd[sloped.layout.slopes] < VAGUE
+    if np.array_equal(free, sloped.free):
+        return sloped, solution
+    sloped = design.with_slopes(theta, free)
+    return sloped, solved(sloped, trust, method)
 
 
 def short_blocks(data: Record) -> float:

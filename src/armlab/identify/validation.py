@@ -59,11 +59,10 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
 def _causal(model: TorqueModel, data: Record, rows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction.
 
-    For a log long enough for warm-up, only the segments that contain the rows (N,) are run, each from its initial
-    thermal state.
+    If rows (N,) are given, only the segments that contain them are run, each from its initial thermal state.
     """
     torque, variance = np.full((2, *data.q.shape), np.nan)
-    pieces = data.segments if rows is None or model.warm_up is None else stretches(rows, data)
+    pieces = data.segments if rows is None else stretches(rows, data)
     for one, a, b in begun(model, data, pieces):
         found = one.estimator_kernel(np.ones(6)).run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
         torque[a:b], variance[a:b] = found[3], found[4]
