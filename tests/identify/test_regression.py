@@ -22,7 +22,7 @@ from armlab.identify.friction_structure import (
 )
 from armlab.identify.record import Decimation
 from armlab.identify.regression import Design, ParameterLayout, independent_rotors
-from armlab.identify.solve import alternate
+from armlab.identify.solve import alternate, refined
 from armlab.kernels import presliding
 from armlab.lie import se3
 
@@ -157,7 +157,7 @@ def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(tr
     """Noise-free data, truth between the grids DELTAS and STRIBECK_SPEEDS: both shapes come out within 15 %."""
     robot = truth.robot
     data = prepare(truth.log(design_excitation(robot, seconds=20, seed=2), noise=0.0), robot)
-    design, theta = alternate(Design.build(data, robot, base_parameters(robot)), "wls")
+    design, theta = refined(*alternate(Design.build(data, robot, base_parameters(robot)), "wls"), "wls")
     assert truth.friction.delta[0] not in DELTAS
     assert not design.structure.smooth.any()
     np.testing.assert_allclose(design.structure.delta, truth.friction.delta, rtol=0.15)

@@ -22,7 +22,7 @@ from armlab.estimation import Rows, least_squares
 from armlab.identify import extrapolation, fit_dynamics, predict, prepare, with_velocity
 from armlab.identify.record import Record
 from armlab.identify.regression import Design
-from armlab.identify.solve import alternate
+from armlab.identify.solve import alternate, refined
 from armlab.identify.validation import training
 from armlab.lie import euler, se3
 from armlab.log import Table
@@ -120,7 +120,7 @@ def tiago() -> tuple[Robot, Table]:
 def held_out(data: Record, robot: Robot, test: np.ndarray, every: int, method: str, joints=None) -> np.ndarray:
     """Fit to the kept rows outside `test` and return the share of each joint on those inside."""
     design = Design.build(data, robot, base_parameters(robot, joints=joints), cutoff=np.inf, every=every, joints=joints)
-    design, theta = alternate(design, method, use=~test)
+    design, theta = refined(*alternate(design, method, use=~test), method)
     return share(design.residuals(theta)[test], design.tau[test])
 
 

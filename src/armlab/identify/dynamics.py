@@ -59,6 +59,7 @@ from armlab.identify.solve import (
     covariance,
     gain_share,
     linearised,
+    refined,
     short_blocks,
 )
 from armlab.identify.validation import FIFTHS, assess, places_of_joints, report, training
@@ -378,16 +379,17 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     design = calibrated(design, method, known)[0]
 
     settings.tell(2, 5, "selecting the friction structure")
-    design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
+    design, theta, trust = alternate(design, method, settings.seed, chooser=settings.chooser)
     lines = _searched_lines(design, theta)
     if len(lines):
         kept = {"cutoff": design.decimation.cutoff, "structure": design.structure, "lines": lines}
         design = Design.build(design.data, robot, base, joints=settings.joints, **kept).with_gains(design.gains)
-        design, theta = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
+        design, theta, trust = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
     if outliers.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
         design = design.with_torque(without_outliers(record, outliers, model))
-        design, theta = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
+        design, theta, trust = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
+    design, theta = refined(design, theta, trust, method)
     design, theta, gain_cov = calibrated(design, method, known)
     doubts = doubts or check_gains(design, method, settings.force)
 

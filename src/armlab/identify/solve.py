@@ -147,8 +147,10 @@ def alternate(
     chooser: Chooser = choose_here,
     use: np.ndarray | None = None,
     again: bool = False,
-) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the friction structure until convergence; return both.
+) -> tuple[Design, np.ndarray, np.ndarray]:
+    """Alternate between the linear parameters and the friction structure until convergence.
+
+    Return the design, its parameters (p,) and the weights (M, J) of the rows, the arguments of `refined`.
 
     Undetermined directions are accepted at this stage and checked in the final fit. `use`: (M,) kept rows used in the
     fit. `again`: whether the structure has been selected before.
@@ -166,10 +168,10 @@ def alternate(
         design, theta = shaped, solved(shaped, trust, method).x
         if settled:
             break
-    return _refined(design, theta, trust, method)
+    return design, theta, trust
 
 
-def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
+def refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
     """Take Gauss-Newton steps in the nonlinear parameters while they reduce the residual."""
     cost = _cost(design, theta, trust)
     for _ in range(SHAPE_STEPS):
