@@ -61,7 +61,8 @@ def round_trips(quick: bool) -> list[Table]:
         samples = alternate(contenders, rounds, warm=False)
         both = _two_arms(file, seconds, rounds, compiled)
         long = 5.0 if quick else 60.0
-        late = [_late(client, run(client, file, long, 0.001)[0]) for client in ("ahead", "spin")]
+        fast = ["ahead", "spin", *(client for client in compiled if client == ECHO)]
+        late = [_late(client, run(client, file, long, 0.001, compiled.get(client))[0]) for client in fast]
     text = (
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
         f"two cores) on its own core, both with real-time priority if permitted. Times are from just before a packet "
@@ -175,7 +176,8 @@ def _on_core(number: int, priority: int = 0) -> Iterator[None]:
 def _late(client: str, counted: dict) -> Figure:
     """Return the percentage of packets without a reply within one period."""
     share = 100.0 * counted["counts"].get("missed", 0) / max(counted["counts"]["packets"], 1)
-    contender = Contender(REPORTED[client], lambda: np.zeros(0), "armlab", 0.0)
+    kind = ("armlab", 0.0) if client in REPORTED else ("limit", None)
+    contender = Contender(REPORTED.get(client, client), lambda: np.zeros(0), *kind)
     return figures([contender], [[np.array([share])]])[0]
 
 
