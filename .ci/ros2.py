@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Level 3 of the test ladder: a simulated arm's bridge beside containers of real ROS 2, with each middleware.
+"""Level 3 tests: the bridge of a simulated arm against real ROS 2 in containers, with each middleware.
 
     .venv/bin/python .ci/ros2.py                 # everything: Linux, Docker, about 4 GB of images, an hour
     .venv/bin/python .ci/ros2.py jazzy           # some distributions
 
-The bridge runs on this computer and the containers share its network. What came out is printed as a table, kept in
-.ci/ros2.json, and said in README.md and docs/parity.md; tests/bridge/servers/ros/test_page.py holds them to that file,
-and docs/ros.md, which a person has to change.
+The bridge runs on this computer and the containers share its network. The results are printed as a table, saved in
+.ci/ros2.json, and stated in README.md and docs/parity.md. tests/bridge/servers/ros/test_page.py checks these pages, and
+docs/ros.md, which is edited by hand, against that file.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ RESULTS, CHECKS = FOLDER / "ros2.json", FOLDER / "ros2_checks.sh"
 PAGES = (FOLDER.parent / "README.md", FOLDER.parent / "docs" / "parity.md")
 DISTRIBUTIONS = ("humble", "jazzy", "kilted")
 MIDDLEWARE = {"rmw_fastrtps_cpp": "ros2", "rmw_cyclonedds_cpp": "ros2", "rmw_zenoh_cpp": "rmw_zenoh"}
-DOMAIN = 77  # of no other robot on this computer
-HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"  # of sensor_msgs/msg/JointState
+DOMAIN = 77  # not used by any other robot on this computer
+HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"  # type hash of JointState
 IMAGE = """
 FROM ros:{0}
 RUN apt-get update && apt-get install -y --no-install-recommends \
@@ -48,7 +48,7 @@ rights = "anyone"
 [servers.{0}]
 domain = {1}
 """
-# What docs/ros.md tells users of Cyclone DDS to set: this one for Humble, a range from Iron on.
+# Cyclone DDS setting from docs/ros.md for Humble; from Iron on, a discovery range replaces it.
 PEERS = (
     "<CycloneDDS><Domain><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<Peers><Peer address='127.0.0.1'/></Peers></Discovery></Domain></CycloneDDS>"
@@ -56,25 +56,25 @@ PEERS = (
 
 
 def sections(output: str) -> dict[str, str]:
-    """Return what each part of the checks said."""
+    """Return the output of each section of the checks."""
     parts = re.split(r"^== (\w+)\n", output, flags=re.M)[1:]
     return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
 def numbers(echoed: str, field: str) -> list[float]:
-    """Return an array of a message as `ros2 topic echo` writes it."""
+    """Return an array field of a message printed by `ros2 topic echo`."""
     found = re.search(rf"^{field}:\n((?:- \S+\n)+)", echoed, flags=re.M)
     return [float(line[2:]) for line in found[1].splitlines()] if found else []
 
 
 def rate(text: str) -> float:
-    """Return the last average that `ros2 topic hz` wrote; 0 without one."""
+    """Return the last average rate printed by `ros2 topic hz`; 0 if there is none."""
     found = re.findall(r"^average rate: ([\d.]+)$", text, flags=re.M)
     return float(found[-1]) if found else 0.0
 
 
 def judge(said: dict[str, str], distribution: str, middleware: str) -> dict[str, str]:
-    """Return for each check "", or what was wrong with it."""
+    """Return the reason for the failure of each check; "" if it passed."""
     q = {name: numbers(said.get(name, ""), "position") for name in ("echo", "moved", "stopped", "held")}
     missing = {name: f"no joint states: {said.get(name, '')[-200:]!r}" for name in q if len(q[name]) != 7}
     info, hz = said.get("info", ""), rate(said.get("hz", ""))
@@ -98,7 +98,7 @@ def judge(said: dict[str, str], distribution: str, middleware: str) -> dict[str,
 
 
 def clause(results: list[dict]) -> str:
-    """Return what the pages say of ROS 2 itself."""
+    """Return the clause on ROS 2 nodes for the pages."""
 
     def named(has_passed: bool) -> str:
         known = {name: [] for name in DISTRIBUTIONS}
@@ -113,12 +113,12 @@ def clause(results: list[dict]) -> str:
 
 
 def stated(page: str, results: list[dict]) -> str:
-    """Return a page with what was found in its sentence on ROS 2."""
+    """Return a page with the results inserted into its sentence on ROS 2."""
     return re.sub(r"(?<=; )[^;]*(?=\. ROS 1:)", clause(results), page)
 
 
 def settings(distribution: str, middleware: str) -> dict[str, str]:
-    """Return the environment of the nodes: what docs/ros.md tells users to set, and nothing else."""
+    """Return the environment variables of the nodes: only those that docs/ros.md tells users to set."""
     found = {"RMW_IMPLEMENTATION": middleware, "ROS_DOMAIN_ID": str(DOMAIN)}
     if middleware == "rmw_cyclonedds_cpp":
         is_old = distribution == "humble"
@@ -127,16 +127,16 @@ def settings(distribution: str, middleware: str) -> dict[str, str]:
 
 
 def until_listening(bridge: subprocess.Popen[bytes], notes: Path) -> None:
-    """Wait for the first line of a bridge, which says where it listens."""
+    """Wait for the first output line of a bridge, which lists its addresses."""
     end = time.monotonic() + 60.0
     while "\n" not in notes.read_text():
         if bridge.poll() is not None or time.monotonic() > end:
-            raise SystemExit(f"Expected a bridge that listens, got: {notes.read_text()}")
+            raise SystemExit(f"Expected a listening bridge, got: {notes.read_text()}")
         time.sleep(0.1)
 
 
 def checked(distribution: str, middleware: str, image: str) -> dict:
-    """Run a bridge and, beside it, the checks in a container; what was found."""
+    """Run a bridge, run the checks in a container, and return the results."""
     server = MIDDLEWARE[middleware]
     cell = CELL.format(server, DOMAIN)
     cell += f'distribution = "{distribution}"\n' if server == "rmw_zenoh" else ""
@@ -163,7 +163,7 @@ def checked(distribution: str, middleware: str, image: str) -> dict:
 
 
 def table(results: list[dict]) -> str:
-    """Return a line per run, "yes" for each check that held, and below them what was wrong."""
+    """Return a table with one row per run and "yes" for each passed check, followed by the failures."""
     names = list(results[0]["checks"])
     rows = [["ROS 2", "middleware", *names]]
     for one in results:
@@ -178,19 +178,19 @@ def table(results: list[dict]) -> str:
 
 
 def main(wanted: list[str], file: Path = RESULTS, pages: tuple[Path, ...] = PAGES) -> int:
-    """Run the checks of the wanted distributions; 0 when all held, 1 when not, 2 when they cannot be run here."""
+    """Run the checks of the given distributions; return 0 if all passed, 1 if any failed, 2 if they cannot run."""
     if unknown := set(wanted) - set(DISTRIBUTIONS):
         print(f"Expected some of {', '.join(DISTRIBUTIONS)}, got {', '.join(unknown)}.", file=sys.stderr)
         return 2
     if shutil.which("docker") is None:
-        print("Expected docker, got none: ROS 2 runs in containers here. Install Docker.", file=sys.stderr)
+        print("Expected docker, got none: the checks run ROS 2 in containers. Install Docker.", file=sys.stderr)
         return 2
     results = []
     for distribution in wanted or DISTRIBUTIONS:
         image = f"armlab-ros2-{distribution}"
         build = ["docker", "build", "--pull", "-t", image, "-"]
         if subprocess.run(build, input=IMAGE.format(distribution), text=True, check=False).returncode:
-            print(f"The image of ros:{distribution} was not built: see above. Nothing was written.", file=sys.stderr)
+            print(f"The image for ros:{distribution} was not built: see above. Nothing was written.", file=sys.stderr)
             return 2
         results += [checked(distribution, middleware, image) for middleware in MIDDLEWARE]
     before = json.loads(file.read_text()) if file.exists() else []

@@ -13,7 +13,7 @@ import matplotlib.font_manager  # noqa: F401  builds the font cache now; in a no
 
 import armlab
 
-logging.basicConfig()  # before the theme does it, whose handler would show all loggers of the process
+logging.basicConfig()  # before the theme adds a handler that would show all loggers of the process
 logging.getLogger("armlab").setLevel(logging.ERROR)  # no warnings about missing packets on a busy machine
 
 project = "armlab"
@@ -41,7 +41,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # s, generous for a busy machine
 nb_execution_in_temp = True  # files written by notebooks are deleted afterwards
 nb_merge_streams = True
-nb_output_stderr = "error"  # warnings and logs of a cell are errors of the build
+nb_output_stderr = "error"  # warnings and logs of a cell are build errors
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
@@ -50,7 +50,7 @@ html_theme = "furo"
 html_title = f"armlab {version}"
 html_favicon = "_static/favicon.svg"
 templates_path = ["_templates"]
-html_context = {"versions": os.environ.get("ARMLAB_DOCS_VERSIONS", "").split()}  # folders beside this one
+html_context = {"versions": os.environ.get("ARMLAB_DOCS_VERSIONS", "").split()}  # folders next to that of this version
 html_sidebars = {
     "**": [
         f"sidebar/{part}.html" for part in ("brand", "versions", "search", "scroll-start", "navigation", "scroll-end")

@@ -1,6 +1,6 @@
 """Two-link arm: inverse kinematics, a movement primitive, inverse dynamics, and recovery from a push.
 
-Port of src/demo_two_link.jl from DynamicMovementPrimitives.jl, where the demo raises an error.
+Port of src/demo_two_link.jl from DynamicMovementPrimitives.jl; the original raises an error.
 """
 
 import numpy as np

@@ -107,7 +107,7 @@ def ros_command(data: bytes) -> None:
 
 
 def _graph(data: bytes) -> None:
-    """Tokens of the graph, line by line; the bytes after the last line are the attachment of a message."""
+    """Graph tokens, one per line; the bytes after the last line are the attachment of a message."""
     *tokens, attached = data.split(b"\n")
     nodes = Nodes(lambda client: None)
     for number, token in enumerate(tokens[:16]):
@@ -123,7 +123,7 @@ def _graph(data: bytes) -> None:
 
 class _Bytes(SimpleNamespace):
     def to_bytes(self) -> bytes:
-        """Return the bytes, as in Zenoh's own type."""
+        """Return the bytes, as Zenoh's own type does."""
         return self.raw
 
 
@@ -153,7 +153,7 @@ def zenoh(data: bytes) -> None:
 
 
 def labcomm_client(data: bytes) -> None:
-    """Data of a client of a LabComm server: commands to the port of an arm, or settings."""
+    """Data from a LabComm client: commands to an arm's port, or settings."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         peer = Peer(ours, "127.0.0.1:5000", Encoder())

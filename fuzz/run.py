@@ -83,7 +83,7 @@ def aside(name: str, seconds: int, seed: int, folder: str) -> str:
 
 
 def fuzz(name: str, seconds: int, seed: int) -> int:
-    """Fuzz one target in this process, which atheris ends."""
+    """Fuzz one target in this process, which atheris terminates."""
     import atheris
 
     warnings.simplefilter("ignore")

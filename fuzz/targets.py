@@ -1,4 +1,4 @@
-"""Table of fuzz targets, documented by their functions. A target raises an exception for a finding."""
+"""Table of fuzz targets, documented by their functions. A target reports a finding by raising an exception."""
 
 from __future__ import annotations
 

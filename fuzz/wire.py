@@ -50,7 +50,7 @@ def egm_robot(data: bytes) -> None:
         found, parsed = codec.decode(packet), fresh.decode(packet)
         assert _same(found, parsed), (found, parsed)
         codec.details(packet)
-    if isinstance(found, Packet) and np.abs(found.q).max() < 1e300:  # otherwise degrees are infinite
+    if isinstance(found, Packet) and np.abs(found.q).max() < 1e300:  # otherwise the conversion to degrees overflows
         _said_again(arm, found)
 
 
@@ -97,7 +97,7 @@ def egm_session(data: bytes) -> None:
 
 
 def labcomm(data: bytes) -> None:
-    """Stream fed in one piece and in many: equal events, faults and re-encoded events; also read as a log."""
+    """Stream fed in one piece and in many: events, faults and re-encoded events must be equal; also read as a log."""
     cut, stream = 1 + (data[0] if data else 0), data[1:]
     whole, fault = _events(stream, len(stream) + 1)
     parts, same = _events(stream, cut)

@@ -1,7 +1,7 @@
 """Mutants of a file, and their substitution for the original in this process.
 
-mutmut generates them, with its operators and their scope. Three rules are added: decorated functions are also mutated,
-conditions are forced either way, and calls are removed. Texts are not mutated.
+mutmut generates them: its operators apply in their usual scope. Three rules are added: decorated functions are also
+mutated, conditions are forced to true and to false, and calls are removed. Strings with spaces are not mutated.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LARGE = 100  # values for which adding 1 makes no difference
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change of a file: the lines `before` in the function `where` became `after`."""
+    """One change to a file: the lines `before` in the function `where` became `after`."""
 
     file: str
     where: str
@@ -75,7 +75,7 @@ _OPERATORS = [
 
 
 class _Visitor(MutationVisitor):
-    """Also visits decorated functions, because nothing is wrapped here."""
+    """Also visits decorated functions, because functions are not wrapped here."""
 
     def _skip_node_and_children(self, node: cst.CSTNode) -> bool:
         return not isinstance(node, cst.FunctionDef) and super()._skip_node_and_children(node)
@@ -98,7 +98,7 @@ def mutants(path: Path, file: str) -> Iterator[Mutant]:
 
 
 def difference(old: str, new: str) -> tuple[int, str, str]:
-    """Return the position of the first difference, the original lines and the changed lines, each joined to one line.
+    """Return the position of the first difference, the original lines and the changed lines, each joined into one line.
 
     Lines that are not unique in the file are extended by the preceding lines until they are.
     """
@@ -165,7 +165,7 @@ def loaded(mutant: Mutant, module: ModuleType) -> ModuleType:
 def transplant(scratch: ModuleType, module: ModuleType) -> tuple[set[CodeType], bool]:
     """Substitute a loaded mutant for its module; return the changed code objects, and whether anything else changed.
 
-    Functions keep their identity for all references: only their code is exchanged. Constants are exchanged in every
+    Functions keep their identity for all references: only their code is replaced. Constants are replaced in every
     armlab module that has them under the same name.
     """
     ours, theirs, changed, beside = codes(module), codes(scratch), set(), False
@@ -189,7 +189,7 @@ def transplant(scratch: ModuleType, module: ModuleType) -> tuple[set[CodeType], 
 
 
 def _exchange_constants(scratch: type, kind: type) -> bool:
-    """Exchange the constants of a class; return whether one changed."""
+    """Replace the constants of a class; return whether one changed."""
     changed = False
     for key, value in vars(scratch).items():
         if _is_constant(value) and not key.startswith("__") and repr(vars(kind).get(key)) != repr(value):
@@ -199,7 +199,7 @@ def _exchange_constants(scratch: type, kind: type) -> bool:
 
 
 def _fitting(code: CodeType, old: CodeType) -> CodeType:
-    """Return a code object that fits a function, whose closure it keeps (that of `super()`)."""
+    """Return a code object that fits a function and keeps its closure (needed for `super()`)."""
     return code if code.co_freevars else code.replace(co_freevars=old.co_freevars)
 
 
@@ -217,7 +217,7 @@ def _is_constant(value: Any) -> bool:
 
 
 def _plain(code: CodeType) -> Any:
-    """Return the behaviour of a code object, without its location."""
+    """Return the parts of a code object that define its behaviour, without its location."""
     constants = tuple(_plain(one) if isinstance(one, CodeType) else (type(one), repr(one)) for one in code.co_consts)
     names = code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     taken = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags

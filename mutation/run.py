@@ -4,7 +4,7 @@ WORDs select files by parts of their paths. A single pytest session collects the
 mutant. The child substitutes the mutant in its own memory, without changing any file, and runs the tests that call the
 changed function, fastest first, until one fails. A mutant that survives or cannot be substituted must be listed in
 `survivors.toml` with the reason why no test can distinguish it from the original. Status 0 means that all mutants of
-the files were tested and are killed or explained.
+the files were tested, and either killed or explained.
 
 mutmut generates the mutants but does not run them. It imports a copy of `src`, which the import hook of the editable
 installation overrides. It omits constants and decorated functions. It also numbers the survivors, so the number of an
@@ -196,7 +196,7 @@ def tests(file: str) -> list[Path]:
 
 
 def name(code: CodeType) -> str:
-    """Return a name of a code object that is the same in every process."""
+    """Return a name for a code object that is the same in every process."""
     return f"{code.co_filename}:{code.co_firstlineno}:{code.co_qualname}"
 
 
@@ -217,7 +217,7 @@ def forked(work: Callable[[], str]) -> tuple[str | None, int]:
     A negative status is the number of the signal that ended the process.
     """
     source, sink = os.pipe()
-    with warnings.catch_warnings(action="ignore"):  # running threads hold no locks of armlab
+    with warnings.catch_warnings(action="ignore"):  # running threads hold no armlab locks
         child = os.fork()
     if child == 0:
         status = 1

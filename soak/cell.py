@@ -1,7 +1,7 @@
-"""Real-time soak test: `armlab bridge` with two arms, all servers, and ten clients, one of which commands.
+"""Real-time soak test: `armlab bridge` with two arms, all servers, and ten clients, one of which sends commands.
 
 The simulated arms have no masses, and the commanding client sleeps until a row arrives, because two cores must run
-all programs. With a real robot, neither would use the bridge computer's cores.
+all programs. With a real robot, neither the arms nor that client would use the bridge computer's cores.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SERVED = "ros2", "rmw_zenoh", "zenoh", "rosbridge", "plotjuggler", "labcomm", "
 
 
 def run(folder: Path, seconds: float) -> dict[str, Any]:
-    """Run the test and return its description, see `series.description`.
+    """Run the test and return its description; see `series.description`.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@
 
 All measurements are written to build/soak/PART: `held.csv`, the recordings, `result.json` and `soak.png`. The test
 prints a line for each assessed quantity, and exits with status 1 if one is out of bounds. Ctrl-C, SIGTERM and --most
-abort the run. It is still assessed, is reported as "cut off", and exits with status 1.
+abort the run. An aborted run is still assessed, is reported as "cut off", and exits with status 1.
 """
 
 from __future__ import annotations

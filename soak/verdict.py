@@ -1,6 +1,6 @@
 """Detection of growth in measurements on a shared machine.
 
-The kernel provides memory in steps, and single delays vary randomly, so neither the last nor the largest value is
+The kernel allocates memory in steps, and single delays vary randomly, so neither the last nor the largest value is
 significant. The tests use the median slope of memory in the second half, medians of descriptors and threads, and minima
 of delays, which other load on the machine cannot reduce.
 """

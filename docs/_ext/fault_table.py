@@ -38,13 +38,13 @@ def rows(kind: str) -> list[tuple[str, ...]]:
 
 
 def _listed(texts: Iterable[str]) -> str:
-    """Join texts by commas, or by semicolons if one contains a comma."""
+    """Join texts with commas, or with semicolons if one contains a comma."""
     texts = list(texts)
     return ("; " if any("," in text for text in texts) else ", ").join(texts)
 
 
 def _text(words: str) -> nodes.inline:
-    """Return a text with code between backticks."""
+    """Return a text node in which text between backticks is code."""
     parts = enumerate(words.split("`"))
     return nodes.inline("", "", *(nodes.literal("", part) if k % 2 else nodes.Text(part) for k, part in parts if part))
 

@@ -14,7 +14,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.images import get_image_size
 
-WIDE = 900  # pixels, from which a figure has several panels
+WIDE = 900  # pixels; figures at least this wide have several panels
 
 EXAMPLES = (
     "10_draw_an_arm.py", "12_source_report.py", "14_hand_guiding.py", "15_lead_through.py", "16_stop_on_contact.py",
@@ -47,7 +47,7 @@ def draw(app: Sphinx) -> None:
 
 
 def enlarge(app: Sphinx, page: nodes.document) -> None:
-    """Let wide pictures scroll on a narrow page, and link them to their full size."""
+    """Let wide pictures scroll on a narrow page, and link them to the full-size images."""
     for image in page.findall(nodes.image):
         path = Path(app.srcdir, image["uri"])
         is_alone = isinstance(image.parent, nodes.figure | nodes.paragraph)  # otherwise a thumbnail
@@ -57,7 +57,7 @@ def enlarge(app: Sphinx, page: nodes.document) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Draw before the build; mark wide pictures while pages are read."""
+    """Draw the figures before the build; mark wide pictures when a page is read."""
     app.connect("builder-inited", draw)
     app.connect("doctree-read", enlarge)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

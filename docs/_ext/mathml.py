@@ -1,6 +1,6 @@
 """Sphinx extension: equations as MathML, which browsers render without scripts, fonts or requests.
 
-The converter is that of the HTML writer of docutils.
+It uses the converter of the docutils HTML writer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BELOW_ACCENT = re.compile(r'<munderover>(?:(?!</munderover>).)*<mo stretchy="fal
 
 
 def mathml(node: nodes.Node, block: bool) -> str:
-    """Return an equation as MathML; unsupported LaTeX is a warning, and so a build error.
+    """Return an equation as MathML; unsupported LaTeX causes a warning, which fails the build.
 
     Browsers without a mathematical font drop the dot of an accent; the style sheet positions it.
     """
@@ -33,7 +33,7 @@ def mathml(node: nodes.Node, block: bool) -> str:
         logger.warning("equation cannot be written as MathML: %s", error, location=node)
         return ""
     if NO_BRACES.search(node.astext()):
-        logger.warning("a fraction without braces gets other numbers: %s", node.astext(), location=node)
+        logger.warning("a fraction without braces is misread by docutils: %s", node.astext(), location=node)
     if BELOW_ACCENT.search(result):
         logger.warning("a subscript after an accent lands below the letter: %s", node.astext(), location=node)
     result = FACTOR.sub(SPACE, FUNCTION.sub(SPACE, result))
@@ -47,7 +47,7 @@ def visit_math(translator: HTML5Translator, node: nodes.math) -> None:
 
 
 def visit_math_block(translator: HTML5Translator, node: nodes.math_block) -> None:
-    """Write a displayed equation; with a label it has a number and an anchor."""
+    """Write a displayed equation, with a number and an anchor if it has a label."""
     translator.body.append(translator.starttag(node, "div", CLASS="equation"))
     translator.body.append(mathml(node, block=True))
     if node["number"]:

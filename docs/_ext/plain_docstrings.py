@@ -23,7 +23,7 @@ NEXT_ENTRY = re.compile(r"(?<=\.) (?=[\w, *]+ : )")  # several short entries may
 
 
 class _Pair(NamedTuple):
-    """A named tuple, to get the type of its fields."""
+    """Named tuple used only to get the type of its fields."""
 
     field: int
 
@@ -38,7 +38,7 @@ def sections(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
         if line in SECTIONS and below and not below.strip("-"):
             yield title, body
             title, body = line, []
-        elif body or line.strip("-"):  # skip the ruler under a title
+        elif body or line.strip("-"):  # skip the underline of a title
             body.append(line)
     yield title, body
 
@@ -61,12 +61,12 @@ def entries(body: list[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def unindented(body: list[str]) -> list[str]:
-    """Return the lines that begin at the margin."""
+    """Return the unindented lines."""
     return [line for line in body if line[:1].strip()]
 
 
 def bullet(name: str, text: list[str]) -> list[str]:
-    """Return an entry as an item of a list; entries in its lines become a nested list."""
+    """Return an entry as a list item; entries within its lines become a nested list."""
     first, *others = text
     short = len(name) + len(first) < TYPE_WIDTH
     if short and others and others[0] and not first.endswith((".", ",", ":", ";")):  # a type, then prose
@@ -81,7 +81,7 @@ def bullet(name: str, text: list[str]) -> list[str]:
 
 
 def escaped(line: str) -> str:
-    """Escape bars outside literals, which would be substitutions."""
+    """Escape vertical bars outside literals; otherwise, they would mark substitutions."""
     parts = LITERAL.split(line)
     return "".join(part if k % 2 else part.replace("|", r"\|") for k, part in enumerate(parts))
 

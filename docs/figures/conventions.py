@@ -139,7 +139,7 @@ def modified(ax: Any, _arm: Robot, q: np.ndarray) -> None:
 
 
 def exponentials(ax: Any, arm: Robot, q: np.ndarray) -> None:
-    """All screws in the base, at q = 0, and the tool at q = 0."""
+    """All screws in base axes and the tool pose, at q = 0."""
     space.frame(ax, np.eye(4), 0.11, "base")
     space.frame(ax, arm.T_home, 0.11, "tool", place=(0, -0.3, -0.4))
     for j, (screw, T) in enumerate(zip(arm.screws, kinematics.link_transforms(arm, q))):
@@ -148,7 +148,7 @@ def exponentials(ax: Any, arm: Robot, q: np.ndarray) -> None:
 
 
 def local(ax: Any, arm: Robot, q: np.ndarray) -> None:
-    """Each screw in the frame after its A."""
+    """Each screw in the frame reached by its transform A."""
     poses, screws = robots.to_local_poe(arm)
     T = np.eye(4)
     space.frame(ax, T, 0.11, "base")
@@ -186,7 +186,7 @@ def signs() -> None:
     space.arrow(load, p, np.array([0, 0, -0.25]), **BOLD)
     space.word(load, p + np.array([0.05, 0, -0.32]), "$f_z$ = −9.81 N", fontsize=9.5)
     for ax in axes:
-        ax.plot([-0.1, 0.8], [0.0, 0.0], [0.0, 0.75], alpha=0)  # one scale for all
+        ax.plot([-0.1, 0.8], [0.0, 0.0], [0.0, 0.75], alpha=0)  # same scale in all panels
         space.equal_scale(ax, 1.05)
     figure.savefig("signs.svg")
 

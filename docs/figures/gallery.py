@@ -15,7 +15,7 @@ robot = robots.load("yumi_right")
 arm = sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1)
 excited = sim.record(arm, identify.design_excitation(robot, 20.0))  # q, qd, tau
 fit = identify.fit_dynamics(excited, robot)
-fit.save("model.toml")  # read by examples of force control
+fit.save("model.toml")  # read by the force control examples
 
 
 def hand(t: np.ndarray) -> np.ndarray:

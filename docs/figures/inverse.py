@@ -24,7 +24,7 @@ def branches(robot: Robot, T_base_tool: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw both in one figure."""
+    """Draw the branches and the self-motion in one figure."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4.4), subplot_kw=space.PROJECTION)
     arm = robots.load("ur5e")
     T_base_tool = kinematics.forward(arm, np.deg2rad([150, -70, 100, -60, -70, 0]))

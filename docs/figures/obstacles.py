@@ -15,7 +15,7 @@ CLEARANCE, REACH = 0.02, 0.08
 
 
 def main() -> None:
-    """Plot the path without avoidance and with both forms, and the distances against time."""
+    """Plot the path without avoidance and with both forms of avoidance, and the distances against time."""
     u = np.linspace(0.0, 1.0, 501)
     s = u**3 * (10 - 15 * u + 6 * u**2)
     dmp = fit_dmp(u, np.stack([0.5 * s, 0.12 * np.sin(np.pi * s)], axis=1)).value

@@ -34,7 +34,7 @@ using nb::arg;
 
 class Input;
 
-// Reject numbers that are not finite; the second and third also reject numbers <= 0 and < 0.
+// Reject numbers that are not finite; the second and third also reject numbers <= 0 and < 0, respectively.
 void require_finite(const Input &input);
 void require_positive(const char *name, const double *values, npy_intp count);
 void require_not_negative(const char *name, const double *values, npy_intp count);
@@ -83,7 +83,7 @@ class Input {
   npy_intp size() const { return PyArray_SIZE(array()); }
   std::string shape_text() const;
 
-  // Replaces the array by a copy, and returns the copy.
+  // Replaces the array with a copy, and returns the copy.
   const nb::object &copy() { return array_ = fresh_array(ndim(), shape(), data()); }
 
   void require_exactly(std::initializer_list<npy_intp> shape) const;

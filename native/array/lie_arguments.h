@@ -24,7 +24,7 @@ void refuse_no_rotation(const Samples &R, const std::string &name, int stride = 
 void refuse_no_pose(const Samples &T, const std::string &name);
 void refuse_not_unit(const Samples &q);
 
-// Replaces rounded rotations by the nearest rotations, in a copy if there are any. The matrices are
+// Replaces rounded rotations with the nearest rotations, in a copy if there are any. The matrices are
 // rotations (3, 3) or poses (4, 4).
 void restore_digits(Input &matrices);
 

@@ -188,7 +188,7 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
         rnea({chain, gravity.data(), links.data()}, in[0], in[1], in[2], to[0]);
       });
   {
-    // ends before `return`, which adds a reference to the array
+    // this scope ends before `return`, which adds a reference to the array
     nb::gil_scoped_release released;
     add_drive_torque(drive, N, rotor.data(), q.data(), qd.data(), qdd.data(),
         dt_.is_none() ? nullptr : dt.data(), tau.samples().data);

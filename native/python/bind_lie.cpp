@@ -17,7 +17,7 @@ void refuse_wrong(const Samples &given) {
   if (width == 4) refuse_not_unit(given);
 }
 
-// Rejects invalid samples one by one, and replaces rounded rotations by exact ones.
+// Rejects invalid samples one by one, and replaces rounded rotations with exact ones.
 void correct(Samples &given) {
   refuse_wrong(given);
   if (given.samples().width >= 9) restore_digits(given);

@@ -1,9 +1,9 @@
 // Conversion of EGM datagrams to packets, and of references to datagrams. Documented in
 // armlab/kernels/_native.pyi.
 //
-// Field numbers are those of armlab_egm.proto. A datagram is accepted exactly if protobuf accepts
-// it, with one exception: protobuf counts messages in its limit of 100 nested groups, but this
-// reader counts only the groups within each message.
+// Field numbers are those of armlab_egm.proto. A datagram is accepted if and only if protobuf accepts it, with one
+// exception: protobuf counts messages towards its limit of 100 nested groups, but this reader counts only the groups
+// within each message.
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -46,7 +46,7 @@ namespace EgmSensor { enum { header = 1, planned = 2, speedRef = 3, rapidToRobot
 // clang-format on
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-// Degrees or mm: beyond any arm. Differences of larger numbers could overflow.
+// Degrees or mm: beyond the range of any arm. Differences of larger numbers could overflow.
 constexpr double most = 1e9;
 constexpr std::uint64_t max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
 constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2,

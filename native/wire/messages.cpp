@@ -42,7 +42,7 @@ std::vector<Place> places_of(nb::handle pairs, std::size_t size) {
   return places;
 }
 
-// The bytes of an object, which this keeps alive.
+// The bytes of an object, kept alive by this instance.
 class Bytes {
  public:
   explicit Bytes(nb::handle object) {

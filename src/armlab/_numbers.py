@@ -53,7 +53,7 @@ def still(value: ArrayLike, what: str) -> np.ndarray:
 
 
 def make_read_only(result: Any, *names: str) -> None:
-    """Replace arrays of a frozen dataclass by read-only views."""
+    """Replace arrays of a frozen dataclass with read-only views."""
     for name in names:
         array = getattr(result, name)
         if not isinstance(array, np.ndarray):

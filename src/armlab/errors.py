@@ -35,7 +35,7 @@ class ShapeError(ArmlabError, ValueError):
         Parameters
         ----------
         value : object
-            Received value, often the path of an unread log.
+            Received value, often the path of a log that has not been read.
         """
         return cls(f"Expected a Table, got {shortened(value)}. Read files with log.read.")
 
@@ -225,7 +225,7 @@ class SessionEnded(LinkError):
 
 
 class CommandRefused(LinkError):
-    """A command rejected because of a wrong shape, non-finite values, a jump, or a missing capability of the link."""
+    """A command rejected because of a wrong shape, non-finite values, a jump, or a capability that the link lacks."""
 
 
 class ControllerLate(LinkError):

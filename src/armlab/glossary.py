@@ -20,7 +20,7 @@ __all__ = ["Symbol", "columns", "label", "lookup", "symbols"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Symbol(Shown):
-    """Symbol of the glossary.
+    """Glossary symbol.
 
     Attributes
     ----------

@@ -202,7 +202,7 @@ class Command(Shown):
     ends : bool
         Whether the command ends the run.
     q_ext : array, shape (k,), rad or m
-        Positions of the external axes in the order of `State.q_ext`, which require `bridge.Limits`; None if not
+        Positions of the external axes, in the order of `State.q_ext`; requires `bridge.Limits`; None if not
         commanded.
     rapid_data : sequence of float
         Up to 40 numbers for RAPID (RobotWare 7), sent once; None sends nothing.

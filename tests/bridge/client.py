@@ -1,8 +1,8 @@
-"""Started by tests: `client.py SERVER PORT ROLE LETTER`, a client of a cell with the arm yumi_left; ends by a signal.
+"""Started by tests: `client.py SERVER PORT ROLE LETTER`, a client of a cell with the arm yumi_left; runs until killed.
 
-SERVER is labcomm, zenoh or rmw_zenoh. ROLE "command", of the first two, asks for a small velocity in each cycle; over
-zenoh it says what it is answered. "read" reads all that there is, says "row" at the first, "gap 3 KEY" when three are
-missing and "back 1 KEY" when one comes that is not after the last. LETTER makes the identity of the sender.
+SERVER is labcomm, zenoh or rmw_zenoh. ROLE "command" (labcomm and zenoh only) commands a small velocity in each cycle;
+over zenoh, it prints the answers. "read" reads all messages and prints "row" for the first, "gap 3 KEY" if three are
+missing, and "back 1 KEY" if the number does not increase. LETTER sets the identity of the sender.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UP, DOWN = 0.01, -0.01  # rad/s, over zenoh and labcomm
 
 
 def command(session: Any, sender: bytes) -> None:
-    """Ask over zenoh for a velocity until the process ends."""
+    """Send velocity commands over zenoh until the process ends."""
     place = key("lab", "yumi_left", f"answer/{sender.hex()}")
     session.declare_subscriber(place, lambda sample: print(sample.payload.to_string(), flush=True))
     place, qd, due = key("lab", "yumi_left", "command/velocity"), np.full(7, UP), time.monotonic()
@@ -36,7 +36,7 @@ def command(session: Any, sender: bytes) -> None:
 
 
 def read(session: Any, dialect: str) -> None:
-    """Read everything; what counts is in the rows of every tick."""
+    """Read all messages; check the sequence numbers of those sent every tick."""
     last: dict[str, int] = {}
 
     def take(sample: Any) -> None:
@@ -63,7 +63,7 @@ def read(session: Any, dialect: str) -> None:
 def main() -> None:
     dialect, port, role, letter = sys.argv[1:]
     if dialect == "labcomm":
-        with LabCommClient(port=int(port)) as client:  # it goes on from where the arm is
+        with LabCommClient(port=int(port)) as client:  # it starts from the arm's position
             client.run(lambda row: Row(row.tm, row.q, np.full(7, DOWN)))
         return
     session = LabAddress("127.0.0.1", int(port)).open(20.0)

@@ -1,4 +1,4 @@
-"""A robot's controller in the test: packets one by one, or a UDP peer that plays a script in lockstep."""
+"""Simulated robot controllers for tests: single packets, or a UDP peer that plays a script in lockstep."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessa
 
 PERIOD_NS = 4_000_000
 START_NS = 1_700_000_000_000_000_000
-PATIENCE = 10.0  # s; only a test that fails waits so long
+PATIENCE = 10.0  # s; reached only if a test fails
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,7 @@ def robot() -> Robot:
 
 @pytest.fixture
 def cell_text() -> str:
-    """A cell of one arm in lockstep, two parameters and a LabComm server, as in its file."""
+    """Return the file of a cell with one arm in lockstep, two parameters and a LabComm server."""
     return """
 name = "yumi"
 commands = ["local"]
@@ -58,7 +58,7 @@ rows = 0
 
 
 class Packets:
-    """The robot's side: messages with their own sequence, one period apart."""
+    """Robot side: messages with their own sequence numbers, one period apart."""
 
     def __init__(self, robot: Robot, extension: bool = False) -> None:
         self.robot, self.codec = robot, RobotSideCodec(robot, extension=extension)
@@ -87,12 +87,12 @@ def packets(robot: Robot) -> Packets:
 
 
 class Feed:
-    """A session fed without sockets; the arrival clock follows the robot's."""
+    """Session fed without sockets; the arrival clock follows the robot's clock."""
 
     def __init__(self, robot: Robot, **options: Any) -> None:
         self.packets = Packets(robot)
         self.events: list[str] = []
-        self.warnings: list[str] = []  # those of the events that warn
+        self.warnings: list[str] = []  # the events that are warnings
         self.session = Session(EgmCodec(robot), on_event=self.tell, **options)
         self.now = 1_000_000_000
 
@@ -116,13 +116,13 @@ class Feed:
 
 @pytest.fixture
 def feed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Feed:
-    for module in ("control.state_machine", "control.external_axes"):  # what three packets do: test_feedback.py
+    for module in ("control.state_machine", "control.external_axes"):  # three-packet rule: see test_feedback.py
         monkeypatch.setattr(f"armlab.bridge.{module}.READY_AFTER", 1)
     return Feed(robot)
 
 
 class Peer:
-    """A robot's controller on a UDP socket. It sends, waits for the one reply, and can look for surplus ones."""
+    """Robot controller on a UDP socket. It sends packets, waits for each reply, and can check for surplus replies."""
 
     def __init__(self, robot: Robot, port: int, extension: bool = False) -> None:
         self.packets = Packets(robot, extension)
@@ -150,7 +150,7 @@ class Peer:
         return [self.cycle(**fields) for _ in range(count)]
 
     def begin(self) -> None:
-        """Send until the bridge listens (it throws away what came before) or has ended."""
+        """Send until the bridge listens (it discards earlier packets) or has ended."""
         while not self.over.is_set():
             self.send()
             with contextlib.suppress(TimeoutError):
@@ -158,7 +158,7 @@ class Peer:
                 return
 
     def rest(self, pause: float = 0.0) -> None:
-        """Go on until the run has ended; its last packet has no answer."""
+        """Continue until the run has ended; the last packet gets no reply."""
         while not self.over.is_set():
             self.send()
             self.answer_or_end(self.over)
@@ -167,7 +167,7 @@ class Peer:
             time.sleep(pause)
 
     def answer_or_end(self, over: threading.Event) -> None:
-        """Wait for an answer until the run is over; one that was sent before that is taken still."""
+        """Wait for a reply until the run is over; a reply sent before the end is still accepted."""
         was_over = False
         while not was_over:
             was_over = over.is_set()
@@ -176,7 +176,7 @@ class Peer:
                 return
 
     def surplus(self) -> int:
-        """Datagrams that wait although everything was answered."""
+        """Return the number of datagrams still waiting after every packet was answered."""
         self.socket.setblocking(False)
         for count in range(1000):
             try:
@@ -187,7 +187,7 @@ class Peer:
 
 
 class Play:
-    """Runs a link in the main thread while a script plays the robot in another."""
+    """Runs a link in the main thread while a script plays the robot in another thread."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -240,7 +240,7 @@ def play(robot: Robot) -> Iterator[Play]:
 
 @pytest.fixture
 def make_peer() -> Iterator[Callable[[Robot, int], Peer]]:
-    """Return what makes peers that are closed after the test."""
+    """Return a factory of peers that are closed after the test."""
     made: list[Peer] = []
 
     def make(robot: Robot, port: int) -> Peer:

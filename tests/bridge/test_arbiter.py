@@ -1,4 +1,4 @@
-"""Who may command: one client per arm; taking, keeping and losing an arm, in simulated time."""
+"""Command rights: one client per arm; taking, keeping and losing an arm, in simulated time."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ HOME = np.array(LEFT.q_home)
 
 
 class Bench:
-    """An arbiter with a clock of its own and a list of what it says."""
+    """Arbiter with its own clock and lists of its messages."""
 
     def __init__(self, arms: Any = (LEFT,), allowed: Any = ("labcomm",), **options: Any) -> None:
         self.now = 10**12
         self.events: list[str] = []
         self.warnings: list[str] = []  # those of the events that warn
-        self.each: list[str] = []  # and those that are told each time
+        self.each: list[str] = []  # and the events that are reported every time
         self.answers: list[tuple[str, str]] = []
         self.results: list[tuple[str, ...]] = []  # client, goal, status, outcome, reason
         options = {"tell": self.tell, "answer": self.answer, "on_goal": self.on_goal, **options}
@@ -66,7 +66,7 @@ class Bench:
 
 
 class Motion:
-    """A trajectory that stays at `q` until it is told to end."""
+    """Trajectory that stays at `q` until it is ended."""
 
     def __init__(self, q: Any = HOME, problem: str = "") -> None:
         self.q, self.problem = q, problem
@@ -115,7 +115,7 @@ def test_the_first_valid_command_takes_the_arm() -> None:
 
 def test_others_are_answered_once_a_second() -> None:
     bench = Bench()
-    bench.now = 0  # a machine that has just begun
+    bench.now = 0  # a machine that has just started
     for _ in range(600):
         bench(order("labcomm a"), order("labcomm b"))
     assert bench.arbiter.refused["labcomm b"] == 600
@@ -133,7 +133,7 @@ def test_each_tick_polls_first_and_what_a_server_refused_is_told_and_not_answere
 
 
 def test_the_lease_lasts_to_its_last_nanosecond_from_when_the_command_came() -> None:
-    """Not from when it was judged: it may have waited for the arm to become ready."""
+    """The lease does not start when the command is judged, because it may have waited for the arm to become ready."""
     bench = Bench()
     bench(order())
     assert bench(after=LEASE) is not None
@@ -148,7 +148,7 @@ def test_the_lease_lasts_to_its_last_nanosecond_from_when_the_command_came() -> 
 
 
 def test_a_lease_ends_also_while_nobody_asks_for_commands() -> None:
-    """While the arms are not ready: rows say that nobody commands, and others may set parameters."""
+    """While the arms are not ready, rows contain no commander, and other clients may set parameters."""
     bench = Bench()
     bench(order())
     for after, holds in ((LEASE, True), (1e-9, False)):
@@ -194,7 +194,7 @@ def test_refused(wrong: Order, words: str) -> None:
 def test_torque_where_the_link_carries_it() -> None:
     command = Bench(torque=["yumi_left"])(Order("labcomm a", "yumi_left", tau=np.ones(7)))
     np.testing.assert_array_equal(command.tau, np.ones(7))
-    assert not command.tau.flags.writeable, "the same array answers each packet"
+    assert not command.tau.flags.writeable, "each packet is answered with the same array"
 
 
 def test_older_numbers_are_ignored() -> None:
@@ -203,13 +203,13 @@ def test_older_numbers_are_ignored() -> None:
     assert bench(order(offset=0.02, seq=5)).q[0] == HOME[0] + 0.01
     assert (bench.arbiter.refused, bench.answers) == ({"labcomm a": 1}, [])
     bench.q_sent["yumi_left"] = HOME + 0.2
-    assert bench(order(offset=0.02, seq=5)) is None, "what is ignored makes no old command new"
+    assert bench(order(offset=0.02, seq=5)) is None, "an ignored command does not renew an old one"
     bench.q_sent["yumi_left"] = HOME
     assert bench(order(offset=0.03, seq=6)).q[0] == HOME[0] + 0.03
 
 
 def test_an_order_that_waited_too_long_is_dropped() -> None:
-    """The arbiter is not called while the robot is not ready; what was sent then must not move it later."""
+    """The arbiter is not called while the robot is not ready; commands sent then must not move the robot later."""
     bench = Bench()
     bench.arbiter.submit(order())
     assert bench(after=LEASE + 0.01) is None
@@ -253,7 +253,7 @@ def test_release_and_leave() -> None:
     for _ in range(2):
         bench(order(offset=np.nan))
         bench.arbiter.leave("labcomm a")
-    assert len(bench.answers) == 2, "another client of that name is answered at once"
+    assert len(bench.answers) == 2, "another client with that name is answered immediately"
 
 
 def test_rights_of_a_commander_and_of_a_controller_of_its_own() -> None:
@@ -345,7 +345,7 @@ def test_goals_that_wait_are_replaced_by_newer_ones_and_cancelled_by_name() -> N
     assert bench.arbiter.commander("yumi_left") == ""
     bench(order())
     bench.arbiter.cancel("web x", "yumi_left", "")
-    assert bench.arbiter.commander("yumi_left") == "labcomm a", "stream commands are no goal"
+    assert bench.arbiter.commander("yumi_left") == "labcomm a", "stream commands are not a goal"
 
 
 def test_the_lease_of_a_trajectory_is_renewed_only_while_the_arm_is_ready() -> None:
@@ -353,7 +353,7 @@ def test_the_lease_of_a_trajectory_is_renewed_only_while_the_arm_is_ready() -> N
     bench(goal())
     bench.now += round(1e9 * LEASE)
     bench.arbiter.renew("labcomm a", "yumi_left", "1")
-    assert bench.arbiter.commander("yumi_left") == "labcomm a", "asked exactly a lease ago"
+    assert bench.arbiter.commander("yumi_left") == "labcomm a", "last request exactly one lease ago"
     bench.now += 1
     bench.arbiter.renew("labcomm a", "yumi_left", "1")
     assert bench.arbiter.commander("yumi_left") == ""
@@ -424,7 +424,7 @@ def test_two_commanders_that_die_at_random(steps: list[tuple[bool, bool, float]]
 
 
 def test_a_stop_while_a_command_comes_into_force_wins() -> None:
-    """Requests are taken by the guard's and the servers' thread too: a stop may come between check and command."""
+    """The threads of the guard and the servers also take requests, so a stop may come between check and command."""
     bench = Bench()
     arbiter = bench.arbiter
     arbiter._tell = lambda text, *_, **__: arbiter.stop("local 1") if "commands yumi_left" in text else None
@@ -433,11 +433,11 @@ def test_a_stop_while_a_command_comes_into_force_wins() -> None:
         assert arbiter.stopped == "local 1"
     arbiter._tell = bench.tell
     arbiter.resume("local 1")
-    assert arbiter.commander("yumi_left") == "", "every commander begins anew by the start rule"
+    assert arbiter.commander("yumi_left") == "", "every commander starts again under the start rule"
 
 
 def test_a_client_of_ros_is_told_of_its_own_joints() -> None:
-    """Of fourteen numbers the right arm's are the last seven, and ROS calls a YuMi's joints by their place."""
+    """The last seven of fourteen numbers belong to the right arm, and ROS numbers a YuMi's joints from the base."""
     bench = Bench((RIGHT,), ("rosbridge",))
     q = np.array(RIGHT.q_home)
     q[2] += 1.0
@@ -454,7 +454,7 @@ def test_a_jump_is_refused_and_the_last_command_stays() -> None:
     assert "Expected a position near the last position sent" in bench.answers[0][1]
     bench.q_sent["yumi_left"] = HOME + 0.2  # held elsewhere meanwhile
     assert bench() is None
-    assert bench(order("labcomm b")) is None, "what is refused makes no old command new"
+    assert bench(order("labcomm b")) is None, "a refused command does not renew an old one"
     assert bench(order(offset=np.nan)) is None
 
 
@@ -466,7 +466,7 @@ def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
 
 
 def test_before_anything_was_sent_the_measured_joints_count() -> None:
-    """A first command far from the position sent is for the state machine to refuse, which says why."""
+    """A first command far from the position sent is refused by the state machine, which states the reason."""
     bench = Bench()
     bench.q_sent["yumi_left"] = HOME + 0.2
     assert bench(order()) is not None
@@ -477,7 +477,7 @@ def test_before_anything_was_sent_the_measured_joints_count() -> None:
 
 
 def test_distances_are_those_of_the_axes_where_these_are_not_the_joints() -> None:
-    """Of an IRB 2400 axis 3 is the sum of joints 2 and 3; the machine would refuse its jump, three times, and stop."""
+    """Axis 3 of an IRB 2400 is the sum of joints 2 and 3; the machine would refuse its jump three times and stop."""
     linked = robots.load("irb2400")
     bench = Bench((linked,))
 
@@ -518,7 +518,7 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
 
 
 def test_a_joint_is_called_as_its_client_knows_it() -> None:
-    """ABB calls the third joint of a YuMi the seventh; in ROS they count from the base."""
+    """The third joint of a YuMi is ABB's axis 7; ROS numbers the joints from the base."""
     assert joint_name(RIGHT, 2) == f"joint 3 ({RIGHT.joint_names[2]})"
     assert joint_name(RIGHT, 2, by_axis=True) == "axis_7 (number 7 of the vector)"
     assert joint_name(RIGHT, 3, by_axis=True) == "axis_3 (number 3 of the vector)"

@@ -1,4 +1,4 @@
-"""Cells: the file and its errors, where its servers listen, and whole bridges."""
+"""Cells: the file and its errors, listening addresses of the servers, and complete bridges."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_values_said_and_not() -> None:
 
 
 def server_process(name: str) -> int:
-    """Number of the newest process that serves under a name."""
+    """Return the ID of the newest process of the named server."""
     found = []
     for folder in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
@@ -225,7 +225,7 @@ port = {free}
 
 
 class Bench:
-    """Runs a cell in this thread while a script plays its clients in another."""
+    """Runs a cell in this thread while a script plays its clients in another thread."""
 
     def __call__(self, cell: Cell, script: Callable[[dict[str, int]], None], seconds: float, **options: Any) -> Any:
         failures: list[BaseException] = []
@@ -270,7 +270,7 @@ def rows(feed: LocalFeed) -> Iterator[Any]:
 def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
     cell_text: str, bench: Bench, tmp_path: Path
 ) -> None:
-    """Two arms; the history of the parameters is in both logs; nobody else is reached. Takes 4 s."""
+    """Two arms; the parameter history is in both logs; only this computer is reached. Takes 4 s."""
     both = cell_text.replace("?lockstep=true", "").replace(
         "[parameters.gain]", '[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n[parameters.gain]'
     )
@@ -302,7 +302,7 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
     for arm in run.arms:
         assert arm.path is not None
         assert log.inspect(arm.path).attachments["cell.toml"] == cell.text.encode()
-        sent = arm.table.dropna("qd_sent")["qd_sent"]  # a tick that found no packet of the robot sends nothing
+        sent = arm.table.dropna("qd_sent")["qd_sent"]  # a tick without a packet from the robot sends nothing
         assert len(sent) > 20
         assert np.abs(sent[-20:]).max() < 1e-9
         assert arm.statistics["parameters"]["gain"] == 7.0
@@ -311,7 +311,7 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
 
 @pytest.fixture
 def over(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """End the run when this is set: no test guesses how long its clients take."""
+    """Return an event that ends the run, so that no test guesses how long its clients take."""
     made, obey = threading.Event(), Arbiter.__call__
     monkeypatch.setattr(Arbiter, "__call__", lambda *given: Command.stop() if made.is_set() else obey(*given))
     return made
@@ -321,7 +321,7 @@ def over(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 def test_torques_of_a_client_reach_the_arm_within_the_bound(
     cell_text: str, bench: Bench, over: threading.Event
 ) -> None:
-    """In real time: it takes the arm, its torques are clipped at the bound, and it loses the arm. Takes 4 s."""
+    """In real time, the client takes the arm, its torques are clipped at the bound, and it loses the arm. Takes 4 s."""
 
     def push(ports: dict[str, int]) -> None:
         with contextlib.ExitStack() as stack:
@@ -343,7 +343,7 @@ def test_torques_of_a_client_reach_the_arm_within_the_bound(
 
 @pytest.mark.slow
 def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench, over: threading.Event) -> None:
-    """Nor does the loop notice that the server of LabComm is killed; it starts again. Takes 5 s."""
+    """The loop is not affected either when the LabComm server is killed; the server restarts. Takes 5 s."""
 
     def script(ports: dict[str, int]) -> None:
         places = [("127.0.0.1", ports[name]) for name in ("yumi_left", "fused")] * 5
@@ -368,12 +368,12 @@ def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench,
     assert any("The server labcomm ended with status -9. The server restarts in 1 s." in text for text in told)
     assert run.reason == "the controller ended the run"
     answered = np.asarray(run.table["seq"], dtype=int)[np.asarray(run.table["send_ns"]) > 0]
-    assert np.diff(answered).max() <= 25, "0.1 s: a busy machine misses some; a loop that is held up more"
+    assert np.diff(answered).max() <= 25, "0.1 s: a busy machine misses some packets, a blocked loop more"
 
 
 @pytest.mark.slow
 def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: str, bench: Bench) -> None:
-    """Cyclone DDS alone binds to all addresses, and is tied to loopback: see its own tests. Takes 10 s."""
+    """Only Cyclone DDS binds to all addresses, but it is restricted to loopback: see its own tests. Takes 10 s."""
     for module, extra in (("cyclonedds", "ros"), ("zenoh", "net"), ("websockets", "net"), ("xxhash", "net")):
         pytest.importorskip(module, reason=f"the extra {extra} is not installed")
     from .servers.ros.dds_peers import free_domain
@@ -396,7 +396,7 @@ def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: s
 
 
 def cell_of(servers: str, commands: str = "local") -> Cell:
-    """A cell whose servers are named, with their entries: "zenoh port=7448; rmw_zenoh"."""
+    """Return a cell with the named servers and their entries: "zenoh port=7448; rmw_zenoh"."""
     text = f'commands = ["{commands}"]\n[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left"\n'
     for server in servers.split("; "):
         name, *entries = server.split(" ")
@@ -420,26 +420,26 @@ HERE = "127.0.0.1"
         ("labcomm", "local", ["labcomm=255.255.255.255"], "Expected the address of a network interface"),
         ("labcomm", "labcomm", ["labcomm=127.0.0.2"], ["127.0.0.2"]),
         ("labcomm", "labcomm", ["labcomm=0.0.0.0"], "neither a secret nor encryption"),
-        # Who commands from elsewhere has to know a secret, over an encrypted connection.
+        # Commands from other computers require a secret and an encrypted connection.
         ("rosbridge", "rosbridge", ["rosbridge=0.0.0.0"], "needs a secret and encryption"),
         (f"rosbridge {KEYS}", "rosbridge", ["rosbridge=0.0.0.0"], "needs a secret and encryption"),
         (f'rosbridge {KEYS} key="k.pem"', "rosbridge", ["rosbridge=0.0.0.0"], ["0.0.0.0"]),
-        # No commands come through the open router of another server.
+        # No commands are accepted through the open router of another server.
         ("rmw_zenoh; zenoh", "zenoh", ["rmw_zenoh=0.0.0.0"], "shares the router at port 7447 with zenoh"),
         ("zenoh; rmw_zenoh", "rmw_zenoh", ["zenoh=0.0.0.0"], "shares the router at port 7447 with rmw_zenoh"),
         ('rmw_zenoh port=7448; zenoh router="127.0.0.1:7448"', "zenoh", ["rmw_zenoh=0.0.0.0"], "router at port 7448"),
         ("zenoh port=7448; rmw_zenoh", "zenoh", ["rmw_zenoh=0.0.0.0"], [HERE, "0.0.0.0"]),
         ("zenoh; rmw_zenoh", "zenoh", [], [HERE, HERE]),
-        # Two servers with one router are at the same address.
+        # Two servers with one router share one address.
         ("zenoh; rmw_zenoh", "local", ["zenoh=0.0.0.0"], "zenoh and rmw_zenoh at the same address"),
         ("zenoh; rmw_zenoh", "local", ["zenoh=0.0.0.0", "rmw_zenoh=0.0.0.0"], ["0.0.0.0", "0.0.0.0"]),
         ("zenoh port=7448; rmw_zenoh", "local", ["zenoh=0.0.0.0"], ["0.0.0.0", HERE]),
-        # Rows go to a router elsewhere only when that is asked for.
+        # Rows go to a router on another computer only on request.
         ('zenoh router="192.168.1.9:7447"', "local", [], "Expected --listen zenoh=ADDRESS too"),
         ('rmw_zenoh router="192.168.1.9:7447"', "local", [], "Expected --listen rmw_zenoh=ADDRESS too"),
         ('zenoh router="192.168.1.9:7447"', "local", ["zenoh=192.168.1.5"], ["192.168.1.5"]),
         ('zenoh router="127.0.0.1:7448"', "local", [], [HERE]),
-        # No commands come from the network of a master elsewhere.
+        # No commands are accepted from the network of a master on another computer.
         (f'ros1 master="{ELSEWHERE}"', "local", [], [HERE]),
         (f'ros1 master="{ELSEWHERE}"', "ros1", [], "ROS 1 master on this computer"),
         ('ros1 master="http://127.lab.example:11311"', "ros1", [], "ROS 1 master on this computer"),

@@ -1,4 +1,4 @@
-"""Whole cells with a simulated robot in real time whose clients are killed, or stopped by a signal, also at random."""
+"""Complete cells with a simulated robot in real time; clients are killed or stopped by signals, also at random."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ pytest.importorskip("zenoh", reason="the extra net is not installed")
 from .client import DOWN, UP
 
 PATIENCE = 60.0  # s; only a test that fails waits so long
-WINDOW = 100  # ticks before and after what happened, in which packets without an answer are compared
+WINDOW = 100  # ticks before and after an event, in which packets without an answer are compared
 
 
 class Watch:
-    """A reader of another server, which must get every row; it reads in a thread of its own."""
+    """Reader of another server, which must get every row; it reads in its own thread."""
 
     def __init__(self) -> None:
         self.ticks: list[int] = []
@@ -76,10 +76,10 @@ class Watch:
 
 
 def more_missed(table: Table, ticks: Sequence[int], window: int = WINDOW) -> list[int]:
-    """Return how many more packets were missed in a window after each tick than in one before.
+    """Return how many more packets were missed in a window after each tick than in the window before it.
 
-    Packets that were lost have no row, and those that were overtaken no answer. While the loop stands still in the
-    controller, as the arbiter is, its guard answers that the arm holds: late.
+    Lost packets have no row, and overtaken packets have no answer. While the loop is blocked in the controller (here
+    the arbiter), its guard sends late hold replies.
     """
     number, seq = (np.asarray(table[name], dtype=int) for name in ("tick", "seq"))
     in_time = (np.asarray(table["send_ns"]) > 0) & (np.asarray(table["late"]) == 0)
@@ -90,18 +90,18 @@ def more_missed(table: Table, ticks: Sequence[int], window: int = WINDOW) -> lis
 
 pytestmark = pytest.mark.slow
 PROGRAM = Path(__file__).with_name("client.py")
-MOST_MISSED = 20  # packets, 0.08 s: a busy machine misses some; a loop that is held up has more
+MOST_MISSED = 20  # packets, 0.08 s: a busy machine misses some, a blocked loop more
 LEASE_NS = int(1e9 * LEASE)
-STOPPED = 2500  # ticks that a reader stands still: more than its buffers hold
-BEFORE = 500  # ticks before that, in which packets without an answer are counted, and as many of it
-TICKS = 3500  # 14 s, in real time, since the lease is
+STOPPED = 2500  # ticks for which a reader is stopped: more than its buffers hold
+BEFORE = 500  # ticks before and during the stop in which packets without an answer are compared
+TICKS = 3500  # 14 s in real time, because the lease is in real time
 LEAST = 4  # deaths: a process takes seconds to start on a busy machine
-MORE = 5  # ticks of a window, 20 ms: to end a process takes one of two cores for some
+MORE = 5  # ticks, 20 ms: ending a process occupies one of two cores for a few ticks
 CHANGE = re.compile(r"(.+?) (?:commands|(no longer commands)) yumi_left[.:]")
 
 
 class Obeyed(NamedTuple):
-    """What the arbiter decided in a tick: of whom, how old the last command of that one was, and what."""
+    """Decision of the arbiter in a tick: the client, the age of its last command, and the command."""
 
     client: str
     age_ns: int
@@ -109,7 +109,7 @@ class Obeyed(NamedTuple):
 
 
 class Bench:
-    """A cell, its clients, and what the bridge did and said; the run ends when the script has."""
+    """Cell, its clients, and the actions and messages of the bridge; the run ends with the script."""
 
     def __init__(self, *servers: str) -> None:
         self.ports = {server: free_port() for server in servers}
@@ -121,14 +121,14 @@ class Bench:
         self.over = threading.Event()
 
     def client(self, server: str, role: str = "command") -> subprocess.Popen[str]:
-        """Start one that commands, or reads, until it dies."""
+        """Start a client that commands or reads until it dies."""
         port = str(self.ports[server])
         words = [str(PROGRAM), server, port, role, next(self.letters)]
         self.clients.append(subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True))
         return self.clients[-1]
 
     def told_why(self) -> list[str]:
-        """End all clients; return what those over Zenoh were told."""
+        """End all clients; return the answers to those over Zenoh."""
         said, clients, self.clients = [], self.clients, []
         for one in clients:
             one.kill()
@@ -162,7 +162,7 @@ class Bench:
 
 
 class Missing:
-    """What a reader says that it missed: numbers left out, and numbers that came back, by key."""
+    """Losses reported by a reader: numbers skipped and numbers that went back, by key."""
 
     def __init__(self, lines: Iterable[str]) -> None:
         self.lost, self.back = Counter[str](), Counter[str]()
@@ -179,7 +179,7 @@ def bench(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
     made, obey, tell = Bench(*request.param), Arbiter.__call__, Hub.tell
 
     def obey_and_keep(arbiter: Arbiter, state: Any) -> Any:
-        now = time.monotonic_ns()  # before the arbiter looks at the clock
+        now = time.monotonic_ns()  # before the arbiter reads the clock
         command: Any = obey(arbiter, state)
         holder = arbiter._holders["yumi_left"]
         client, heard = ("", now) if holder is None else (holder.client, holder.received_ns)
@@ -227,12 +227,12 @@ def test_a_reader_that_stands_still_disturbs_nobody_and_sees_what_it_missed(benc
     stops: list[int] = []
     run = bench.run(script)
     (more,) = more_missed(run.table, stops, BEFORE)
-    assert more <= MOST_MISSED, f"packets missed more while a reader stood still: {more}"
+    assert more <= MOST_MISSED, f"additional packets missed while a reader was stopped: {more}"
     assert run.reason == "the controller ended the run"
 
 
 def kill_commanders(bench: Bench, watch: Watch) -> list[int]:
-    """Kill whoever commands, again and again; return the ticks of the deaths."""
+    """Repeatedly kill the commanding client; return the ticks of the deaths."""
     rng, deaths = np.random.default_rng(8), list[int]()
     alive = {server: bench.client(server) for server in bench.ports}
     pairs = list(itertools.permutations(alive))
@@ -244,7 +244,7 @@ def kill_commanders(bench: Bench, watch: Watch) -> list[int]:
         return str(watch["commander"].partition(" ")[0])
 
     def contested() -> tuple[str, str]:
-        """Wait until both want the arm; return who has it and who is refused."""
+        """Wait until both clients want the arm; return the holder and the refused client."""
         so_far, found = {server: refused(server) for server in alive}, list[tuple[str, str]]()
 
         def both_want_it() -> bool:
@@ -260,7 +260,7 @@ def kill_commanders(bench: Bench, watch: Watch) -> list[int]:
         holder, other = contested()
         watch.wait(WINDOW + int(rng.integers(100)))
         if commander() != holder:
-            continue  # a client that was not run for the lease
+            continue  # the client was not scheduled for the length of the lease
         os.kill(alive[holder].pid, rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP]))
         deaths.append(watch.ticks[-1])
         watch.until(lambda other=other: commander() == other)
@@ -271,7 +271,7 @@ def kill_commanders(bench: Bench, watch: Watch) -> list[int]:
 
 
 def check_commands(obeyed: list[Obeyed]) -> None:
-    """Each tick is one commander's, or hold; nobody commands who was silent for longer than the lease."""
+    """Check that each tick belongs to one commander or holds, and that no command is older than the lease."""
     for one in obeyed:
         assert one.age_ns <= LEASE_NS, f"{one.client} was silent for {1e-9 * one.age_ns:.3f} s and commanded"
         if one.command is not None:
@@ -281,7 +281,7 @@ def check_commands(obeyed: list[Obeyed]) -> None:
 
 
 def check_arm(table: Table) -> None:
-    """It stayed within its limits, as it was told and as it was measured."""
+    """Check that the commanded and the measured motion stayed within the limits."""
     arm = robots.load("yumi_left")
     limits, sent = Limits.of(arm), table["qd_sent"]
     assert np.nanmax(np.abs(sent) / limits.qd_max) <= 1.0
@@ -294,7 +294,7 @@ def check_arm(table: Table) -> None:
 
 
 def check_changes(told: list[str]) -> set[str]:
-    """Each takes a free arm and loses it before the next does; return who commanded."""
+    """Check that each client takes a free arm and loses it before the next takes it; return the commanders."""
     holder, takers = "", set[str]()
     for found in filter(None, map(CHANGE.match, told)):
         if found[2]:
@@ -309,7 +309,7 @@ def check_changes(told: list[str]) -> set[str]:
 
 @pytest.mark.parametrize("bench", [("zenoh", "labcomm")], indirect=True, ids=str)
 def test_one_commands_at_any_instant_whoever_dies(bench: Bench, tmp_path: Path) -> None:
-    """By the log: who had the rights when; free within the lease; within limits; the loop as it was. Takes a minute."""
+    """Check the log: rights over time, release within the lease, limits, and an undisturbed loop. Takes a minute."""
     deaths: list[int] = []
     run = bench.run(lambda watch: deaths.extend(kill_commanders(bench, watch)), tmp_path / "run.mcap")
     check_commands(bench.obeyed)
@@ -320,4 +320,4 @@ def test_one_commands_at_any_instant_whoever_dies(bench: Bench, tmp_path: Path) 
     assert logged == [text for text in bench.told if CHANGE.match(text)], "every change is in the log, by name"
     assert any("yumi_left is commanded by labcomm" in text for text in bench.told_why())
     more = more_missed(run.table, deaths)
-    assert np.median(more) <= MORE, f"packets missed more after than before each death: {more}"
+    assert np.median(more) <= MORE, f"additional packets missed after each death: {more}"

@@ -1,4 +1,4 @@
-"""`connect`, `Link`, their urls, and whole runs with the simulated robot."""
+"""`connect`, `Link`, their URLs, and whole runs with the simulated robot."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def test_two_runs_on_one_link(play: Any) -> None:
 
 
 def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: Path) -> None:
-    path, number = tmp_path / "run.mcap", signal.SIGTERM  # Ctrl-C: in real time, below
+    path, number = tmp_path / "run.mcap", signal.SIGTERM  # Ctrl-C is tested in real time below
 
     def controller(state: State) -> Command:
         if state.seq == 50:
@@ -235,7 +235,7 @@ def test_the_simulated_robot_in_lockstep_is_repeatable_and_on_one_clock(robot: R
     assert len(events) > 1
     assert all(begin <= event.stamp_ns <= begin + 2 * 10**9 for event in events)
     assert all(begin <= stamp <= begin + 2 * 10**9 for stamp, _ in runs[1].events)
-    # The drive's gravity, its mode and the planned pose, of which a State has no field; None where nobody sent it.
+    # The drive's gravity and mode and the planned pose have no field in State; values that were not sent are None.
     assert np.isfinite(seen[-1].tau_gravity).all()
     assert np.isfinite(seen[-1].T_frame_planned).all()
     assert (seen[-1].mode, seen[-1].move_index, seen[-1].used_seq > 0) == (1, None, True)
@@ -264,8 +264,8 @@ os._exit(0)
 """
 
 
-@pytest.mark.slow  # 1 s, of which most is the start of a process
-@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="tells living processes by /proc")
+@pytest.mark.slow  # 1 s, mostly for the start of a process
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="identifies running processes by /proc")
 def test_it_does_not_outlive_a_bridge_that_dies_while_it_starts() -> None:
     port = Port("127.0.0.1", 0)
     command = [sys.executable, "-c", _DIES_AT_ONCE, str(port.port)]
@@ -280,7 +280,7 @@ def test_it_does_not_outlive_a_bridge_that_dies_while_it_starts() -> None:
 
 
 def _command_of(number: str) -> str:
-    """Return the command of our process, "" when it is gone or only waits to be buried."""
+    """Return the command line of our process, or "" if it is gone or a zombie."""
     with contextlib.suppress(OSError):
         command = Path(f"/proc/{number}/cmdline").read_text(encoding="utf-8")
         return command if "armlab" in command else ""
@@ -289,7 +289,7 @@ def _command_of(number: str) -> str:
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A package as pip would install it, with three entry points."""
+    """Install a package with three entry points, as pip would do."""
     (tmp_path / "somesite.py").write_text(
         "from armlab.wire.egm import EgmCodec\n"
         "def good(robot):\n    return EgmCodec(robot, extension=True)\n"
@@ -315,7 +315,7 @@ def test_an_entry_point(robot: Robot) -> None:
     with pytest.raises(UnknownName, match="bad, broken, egm, good"):
         codec_named("egmri", robot)
     connect("egm://127.0.0.1:0", robots.load("irb2400")).close()  # whose axis 3 is not the third joint
-    scara = replace(robot, prismatic=np.arange(7) == 0)  # a linear joint without a unit
+    scara = replace(robot, prismatic=np.arange(7) == 0)  # a prismatic joint without a unit
     with (
         connect("egm://127.0.0.1:0", scara) as link,
         pytest.raises(ConfigError, match=r"without that capability\. To listen only"),
@@ -333,7 +333,7 @@ def test_entry_points_that_give_no_codec(robot: Robot, name: str, words: str) ->
 
 
 def answered(peer: Any) -> None:
-    """Guided packets until the run has ended, which the loop under test sees to."""
+    """Send guided packets until the run has ended; the loop under test ends it."""
     peer.begin()
     latest = time.monotonic() + 20.0
     while not peer.over.is_set():
@@ -356,7 +356,7 @@ def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: A
                 raise ZeroDivisionError("division by zero")
             return super().decode(data)
 
-    with pytest.raises(LinkError, match=BROKEN) as caught:  # one packet has no answer
+    with pytest.raises(LinkError, match=BROKEN) as caught:  # one packet gets no answer
         play(answered, lambda state: Command(qd=np.full(7, 0.1)), play.link(codec=Broken(robot)))
     sent = caught.value.table["qd_sent"]
     assert np.nanmax(sent) > 0.05
@@ -397,7 +397,7 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
 
 
 def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:
-    """Any jump would pass the limits, since it may be as large as the speed allows."""
+    """Any jump would pass the limits, because the allowed jump is set by the allowed speed."""
     robot = robots.load("dh_test")
     with pytest.raises(ConfigError, match=r"speed and acceleration.* of dh_test.*qd_max"):
         checked_limits(None, [robot])

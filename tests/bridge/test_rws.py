@@ -1,4 +1,4 @@
-"""The client of Robot Web Services: servers trusted with a password, odd answers, RAPID around a run."""
+"""Robot Web Services client: servers trusted with a password, odd answers, and RAPID around a run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def credentials(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def odd_server(status: int = 200, body: bytes = b"", **headers: str) -> Iterator[tuple[str, list[str]]]:
-    """Ask for digest authentication, then answer so; yields the address, and the credentials received."""
+    """Request digest authentication, then send the given answer; yield the address and the received credentials."""
     received: list[str] = []
 
     class Odd(BaseHTTPRequestHandler):
@@ -180,7 +180,7 @@ def test_no_text_holds_the_password(tmp_path: Path, robotware: str, caplog: pyte
         error = error.__context__
     assert "urllib3" in texts[0]
     told = "\n".join(texts).lower()
-    for form in (RWS_PASSWORD, "b3BlcmF0b3I6a2VwdC1mcm9t"):  # base64, of basic authentication
+    for form in (RWS_PASSWORD, "b3BlcmF0b3I6a2VwdC1mcm9t"):  # base64, as in basic authentication
         assert form.lower() not in told
 
 
@@ -206,7 +206,7 @@ def test_rapid_runs_around_a_run_and_only_if_it_was_started_for_it(tmp_path: Pat
             assert [task.runs for task in served.box.tasks] == [True, True]
             with rapid.running([6511], nobody):
                 pass
-            assert served.box.is_running  # it was there before
+            assert served.box.is_running  # RAPID was already running
         assert not served.box.is_running
         assert [text.partition(": ")[2] for text in told][-2:] == ["start RAPID in T_ROB_R, T_ROB_L", "stop RAPID"]
         with rapid.running([6512, 6511], nobody, lambda: True):

@@ -1,4 +1,4 @@
-"""Wrong input of every calibration: mistakes are named; mistakes of the ancestor program do not come back."""
+"""Wrong input to every calibration: errors name the mistake, and defects of the original program do not return."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ def test_good_data_are_not_suspected() -> None:
         assert "undecided" not in fit.report()
 
 
-@pytest.mark.slow  # 15 s: everything is tried before it is refused
+@pytest.mark.slow  # 15 s: all alternatives are tried before an error is raised
 @pytest.mark.parametrize(("case", "words"), [
     (lambda: dual(PAIR.q_a[1:26], PAIR.q_b[1:26], PAIR.pose[:25]), "the pairing of samples and joint positions"),
     (lambda: dual(PAIR.q_a[1:], PAIR.q_b[:-1], PAIR.pose[1:], noise=ARM, robust=True), "outliers among 59"),
@@ -368,7 +368,7 @@ class TestHalfATurn:
 
 
 def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarray:
-    """Poses (N, 4, 4), or orientations (N, 3, 3), with noise of the robot."""
+    """Return poses (N, 4, 4) or orientations (N, 3, 3) with robot noise."""
     rng = np.random.default_rng(7)
     turns = so3.exp(size[1] * rng.standard_normal((len(T), 3)))
     if T.shape[-1] == 3:
@@ -388,7 +388,7 @@ def test_what_must_be_refused_by_name_from_noisy_poses() -> None:
 
 
 def test_small_tilts_cost_degrees_not_half_turns() -> None:
-    """calib_force: 58 to 178 degrees off at tilts below 30 degrees; the bound is 0.544."""
+    """calib_force was off by 58 to 178 degrees at tilts below 30 degrees; the bound is 0.544 degrees."""
     squares = []
     for run in range(25):
         data = sensors.weighed([3000, run], tilt=np.radians(30.0))
@@ -400,7 +400,7 @@ def test_small_tilts_cost_degrees_not_half_turns() -> None:
 
 @pytest.mark.parametrize("half", [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])])
 def test_sensors_turned_by_half_a_turn_are_like_others(half) -> None:
-    """calib_force2 was singular there."""
+    """calib_force2 was singular at these orientations."""
     data = sensors.weighed(1, 20, 0.0)
     fit = fit_force_sensor(data.RA, 0.7 * G @ data.RA @ half + [1.0, 2.0, 3.0], gravity=G)
     np.testing.assert_allclose(fit.value.R_tool_sensor, half, atol=1e-12)
@@ -408,9 +408,9 @@ def test_sensors_turned_by_half_a_turn_are_like_others(half) -> None:
 
 
 def test_a_line_is_used_where_it_was_measured() -> None:
-    """calibNAXP went 1 m along each line for a second point, where the noise of its angle is a hundred times larger."""
+    """calibNAXP took a second point 1 m along each line, where the angle noise has a hundred times the effect."""
     data = sensors.scanned(4)
-    turned = data.exact.copy()  # lines that turned about their points, as by noise of the angle alone
+    turned = data.exact.copy()  # lines rotated about their points, as by angle noise alone
     turn = 8.66e-3 * np.random.default_rng(0).standard_normal(60)
     turned[:, 2] = np.cos(turn) * data.exact[:, 2] - np.sin(turn) * data.exact[:, 3]
     turned[:, 3] = np.sin(turn) * data.exact[:, 2] + np.cos(turn) * data.exact[:, 3]
@@ -452,7 +452,7 @@ def test_records_of_poses_in_another_reading_are_refused_by_name(text: str, setu
 
 
 def test_quaternions_of_both_records_in_another_order_leave_rotations_that_fit() -> None:
-    """Positions alone tell, here with a tenth of the spread between them: once fitted in silence, 0.4 m off."""
+    """Only the positions reveal it, here by a tenth of their spread; the fit was once silently wrong by 0.4 m."""
     rng = np.random.default_rng(39)
     X, Y = se3.exp(0.1 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
     A = se3.from_rp(so3.exp(rng.standard_normal((30, 3))), rng.uniform(-0.5, 0.5, (30, 3)))
@@ -471,7 +471,7 @@ def test_points_with_poses_in_another_reading_are_refused_by_name(text: str, set
 
 @pytest.mark.parametrize("text", WRONG)
 def test_forces_with_orientations_in_another_reading_are_refused_by_name(text: str) -> None:
-    """Tilts of 30 degrees look nearly the same transposed: half a turn about the vertical."""
+    """Transposed tilts of 30 degrees look nearly like tilts rotated by half a turn about the vertical."""
     for tilt in (None, np.deg2rad(30.0)):
         weighed = sim.cell(2).force(tilt=tilt)
         T = se3.from_rp(weighed.RA, np.zeros((len(weighed.RA), 3)))

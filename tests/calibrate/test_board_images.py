@@ -20,7 +20,7 @@ WIDTH = {"charuco": (7, 5), "checkerboard": (9, 6)}  # squares
 
 
 def views(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Poses of a board (N, 4, 4) that the camera sees whole, its centre near the middle of the image."""
+    """Return poses (N, 4, 4) of a fully visible board whose centre is near the middle of the image."""
     tilt = rng.uniform(-0.6, 0.6, (count, 3)) * [1, 1, 0]
     R = so3.exp(tilt) @ so3.exp(rng.uniform(-0.5, 0.5, (count, 3)) * [0, 0, 1])
     middle = np.column_stack([rng.uniform(-0.04, 0.04, (count, 2)), rng.uniform(0.33, 0.45, count)])
@@ -44,7 +44,7 @@ def picture(kind: str, per_square: int) -> np.ndarray:
 
 
 def render(T: np.ndarray, board: np.ndarray, square: float, rng: np.random.Generator, finer: int = 2) -> np.ndarray:
-    """The image of a flat board, by its homography, at twice the resolution, averaged, with noise."""
+    """Return a noisy image of a flat board, rendered by homography at twice the resolution and averaged."""
     per_square = 60
     to_plane = np.array([[square / per_square, 0, 0.5 * square / per_square],
                          [0, square / per_square, 0.5 * square / per_square], [0, 0, 1]])  # fmt: skip
@@ -108,7 +108,7 @@ def test_exact_corners_give_exact_poses_and_intrinsics(setup) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("intrinsics", [(K, []), None], ids=["given", "found"])
 def test_results_from_rendered_images_are_within_three_deviations(intrinsics) -> None:
-    """20 seeds, 12 deviations each: 0.6 of 240 beyond 3 is the expectation for exact statements."""
+    """20 seeds with 12 errors each: of 240 errors, 0.6 are expected beyond 3 sd if the stated sd are exact."""
     beyond = 0
     for seed in range(20):
         images, (A, _, X, Y) = rendered(seed)
@@ -120,7 +120,7 @@ def test_results_from_rendered_images_are_within_three_deviations(intrinsics) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("intrinsics", [(K, np.zeros(4)), None], ids=["given", "found"])
 def test_stated_deviations_cover_95_percent(intrinsics) -> None:
-    """200 runs of corners with 0.1 pixel of noise: rendering 200 x 15 images would take ten minutes."""
+    """200 runs with 0.1 pixel of corner noise: rendering 200 x 15 images would take ten minutes."""
     inside, squares = 0, 0.0
     for seed in range(200):
         A, seen, X, Y = cell(seed, 15)
@@ -150,9 +150,9 @@ def test_a_tag_needs_intrinsics_and_is_named_when_it_is_ambiguous() -> None:
     words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     tag = np.pad(cv2.aruco.generateImageMarker(words, 7, 60), 20, constant_values=255)
     poses = [se3.from_rp(so3.exp([0.5, 0.4 * k, 0.2]), [-0.02, -0.02, 0.3]) for k in (-1, 0, 1)]
-    images = [render(T, tag, 0.06, rng, finer=1) for T in poses]  # 60 pixels of the picture are the tag, 0.06 m wide
+    images = [render(T, tag, 0.06, rng, finer=1) for T in poses]  # the tag is 60 pixels of the picture and 0.06 m wide
     found = calibrate.board_poses(images, "apriltag:36h11:0.06", intrinsics=(K, []))
-    middle = se3.from_rp(np.diag([1.0, -1.0, -1.0]), [0.05, 0.05, 0.0])  # of OpenCV: y of a tag points up
+    middle = se3.from_rp(np.diag([1.0, -1.0, -1.0]), [0.05, 0.05, 0.0])  # OpenCV convention: y of a tag points up
     for T, got in zip(poses, found.T_cam_marker):
         np.testing.assert_allclose(got, T @ middle, rtol=0, atol=5e-3)
     with pytest.raises(NotExcited, match="--intrinsics FILE"):
@@ -198,7 +198,7 @@ def test_images_that_are_none_or_show_too_little_are_refused_by_name() -> None:
 
 
 def from_corners(T_base_tool: np.ndarray, corners: np.ndarray, robust: bool = False):
-    """`fit_hand_eye_images` of arrays: corners (N, 24, 2) of a board whose intrinsics are given."""
+    """Call `fit_hand_eye_images` for corners (N, 24, 2) of a board and given intrinsics."""
     bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
     if len(bad):
         raise ShapeError(f"Expected finite corners, got NaN in rows {bad.tolist()}.")
@@ -228,6 +228,6 @@ def test_the_statistical_contract(runs: int) -> None:
         gauges=[Gauge("base moved", lambda d: {**d, "T_base_tool": G @ d["T_base_tool"]},
                       lambda f: (f.value.X, G @ f.value.Y))],
         refusals={"2 images": {name: array[:2] for name, array in data.items()}}, spoil=spoil,
-        skip={"efficient": "it is fit_hand_eye that weighs the poses; its own contract judges that"},
+        skip={"efficient": "fit_hand_eye weights the poses; its own contract test covers this"},
     )  # fmt: skip
     assert found.passed, found.text()

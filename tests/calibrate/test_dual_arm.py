@@ -1,4 +1,4 @@
-"""Two arms that measure each other: the truth, the ranks, the bound, and what a closed chain cannot tell."""
+"""Two arms that measure each other: ground truth, ranks, the bound, and unidentifiable directions of a closed chain."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_ranks(case: DualRun) -> None:
 
 
 def test_one_joint_that_slides(exact: DualRun) -> None:
-    """4 r + 2 p + 6 with eleven joints that turn and one that slides."""
+    """4 r + 2 p + 6 with eleven revolute joints and one prismatic joint."""
     robot, q = sliding_robot(), np.random.default_rng(1).uniform(-2, 2, (60, 6))
     Z = se3.inv(forward(robot, q)) @ NOMINAL_PAIR @ exact.truth_b.forward(exact.q_b)
     fit = fit_dual_arm(robot, exact.robot_b, q, exact.q_b, pose=Z, noise=NOISE)
@@ -136,7 +136,7 @@ def test_harmonics_of_both_arms(exact: DualRun) -> None:
 
 
 def test_gears_of_both_arms(exact: DualRun, tmp_path: Path) -> None:
-    """phi = q of each joint: the scale of its gear; one term for arm b that several joints share, as gravity makes."""
+    """phi = q of each joint gives its gear scale; arm b has one term shared by several joints, as for gravity."""
     run, rng = cell(2400).two_arms(0, 80), np.random.default_rng(3)
     phi_a, phi_b = run.q_a[:, :, None] * np.eye(6), rng.standard_normal((80, 6, 1))
     gears, c = 1e-3 * rng.standard_normal(6), 2e-3
@@ -158,10 +158,10 @@ def test_gears_of_both_arms(exact: DualRun, tmp_path: Path) -> None:
 
 
 class TestAncestor:
-    """What calibLPOEdual of Robotlib.jl 1.1.15 does wrong, and is gone."""
+    """Defects of calibLPOEdual in Robotlib.jl 1.1.15 that must not return."""
 
     def test_all_samples_count(self, exact: DualRun) -> None:
-        """The original judges steps by the first seven poses only: here the last one matters as much."""
+        """The original judges steps only by the first seven poses; here, the last pose counts as much."""
         wrong = exact.pose.copy()
         wrong[-1, :3, 3] += 1e-3
         good, bad = (fit_of(exact, pose=pose, noise=NOISE) for pose in (exact.pose, wrong))
@@ -227,6 +227,6 @@ def test_the_statistical_contract() -> None:
     found = check_estimator(
         fit_dual_arm, experiment, 30, n=60, error=validation, spoil=spoil, gauges=[Gauge("tool of a", moved, seen)],
         refusals={"joint 3 of arm a did not move": rest},
-        skip={"efficient": "held to the bound by the benchmark and by test_the_bound_and_the_covariance"},
+        skip={"efficient": "the benchmark and test_the_bound_and_the_covariance check the bound"},
     )  # fmt: skip
     assert found.passed, found.text()

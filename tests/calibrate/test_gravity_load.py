@@ -32,7 +32,7 @@ def equation_of(data: Any, pull: Any = G, noise: Any = None, bias: bool = True) 
 
 
 def error(fit: Fit[Any], truth: dict[str, Any]) -> np.ndarray:
-    """In the coordinates of the covariance: R = truth Exp(w), mass or weight, bias, centre, bias."""
+    """Return the error in the coordinates of the covariance: R = truth Exp(w), mass or weight, bias, centre, bias."""
     value = fit.value
     parts = [so3.log(truth["R"].T @ value.R_tool_sensor)]
     known = [value.mass - truth.get("mass", 1.0)]
@@ -101,7 +101,7 @@ def test_the_closed_form_is_the_most_likely_value() -> None:
 
 
 def test_the_unit_of_mass_and_of_force_does_not_matter() -> None:
-    """Defect of the original: its answer depended on the mass that was guessed."""
+    """Defect of the original: its result depended on the guessed mass."""
     data = sensors.weighed(3, sigma=1.0, tilt=0.5)
     one = fit_force_sensor(**data.given)
     grams = fit_force_sensor(data.RA, data.y, gravity=G * 1e-3)
@@ -213,7 +213,7 @@ def test_readings_without_weight_are_refused(options) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_difference_that_noise_may_have_made_decides_no_hand(sign: int) -> None:
-    """Tilts of 30 degrees under 1 N of noise: chi squared differs by 9, less than is certain, in favour or against."""
+    """At tilts of 30 degrees and 1 N of noise, chi squared differs by 9 either way, which is too little to decide."""
     weighed = sim.cell(0).force(N=40, sigma=1.0, tilt=np.deg2rad(30))
     report = fit_force_sensor(weighed.RA, weighed.y, gravity=G, sign=sign).report()
     assert f"handedness and sign of the sensor are undecided (Delta {8.8 * sign}" in report
@@ -227,7 +227,7 @@ def test_a_difference_that_noise_may_have_made_decides_no_hand(sign: int) -> Non
     (False, None, False, 100, 30),
 ])  # fmt: skip
 def test_contacts_do_not_lead_to_another_answer(known, torque, unknown, N, bad) -> None:
-    """Small tilts and unknown gravity: started from all samples, most of these fits ended half a turn away."""
+    """Small tilts and unknown gravity: most of these fits ended half a turn away if started from all samples."""
     for run in range(2):
         data = sensors.weighed([20, run], N, tilt=TILT, torque=torque)
         y = sensors.touched(np.random.default_rng(run), data.y, slice(0, bad))
@@ -274,7 +274,7 @@ def test_a_known_mass_is_kept_in_every_kind_of_fit(bias, torque, robust) -> None
     assert "mass" not in fit.names
     assert len(fit.names) == 3 + 3 * bias + (3 + 3 * bias) * (torque is not None)
     assert fit.outliers[:4].all() == robust
-    if bias and not robust:  # it helps, and the rotation is the same for any mass
+    if bias and not robust:  # the known mass helps, and the rotation is the same for any mass
         free = fit_force_sensor(data.RA, y, gravity=G, noise=NOISE[y.shape[1]])
         assert np.trace(fit.cov[3:, 3:]) < np.trace(free.cov[4:, 4:])
         np.testing.assert_allclose(fit.value.R_tool_sensor, free.value.R_tool_sensor, atol=1e-8)

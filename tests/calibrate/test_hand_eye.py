@@ -96,12 +96,12 @@ def test_noise_in_three_forms_is_the_same_noise() -> None:
 @pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
 @pytest.mark.parametrize("told", [True, False], ids=["robot's noise told", "not told"])
 def test_noise_of_the_robot_makes_the_covariance_honest(setup, told) -> None:
-    """Section 1.3: without it NEES/12 is between 1.24 and 2.06."""
+    """Section 1.3: without the robot's noise, NEES/12 is between 1.24 and 2.06."""
     nees = []
     for run in range(25):
         data = sensors.seen_poses([1100, run], robot=ROBOT)
         A = data.A
-        if setup == "eye_in_hand":  # the robot reads the inverse of A, with noise of its own
+        if setup == "eye_in_hand":  # the robot reads the inverse of A, with its own noise
             clean = sensors.seen_poses([1100, run]).A
             A = sensors.noisy(np.random.default_rng([1100, run, 1]), se3.inv(clean), ROBOT)
         fit = fit_hand_eye(A, data.B, setup=setup, noise=CAMERA, noise_robot=ROBOT if told else None)
@@ -163,7 +163,7 @@ def gauges(exact_robot: bool) -> list[Gauge]:
         data |= {name: longer(data[name]) for name in ("T_base_tool", "T_cam_marker")}
         return data | {name: (1000.0 * data[name][0], data[name][1]) for name in data if name.startswith("noise")}
 
-    moved_tool = Gauge(  # noise of the robot is that of its tool point: at another it is another
+    moved_tool = Gauge(  # robot noise refers to the tool point and differs at another point
         "tool moved",
         lambda data: {**data, "T_base_tool": data["T_base_tool"] @ G},
         lambda fit: (inv @ fit.value.X, fit.value.Y),
@@ -178,7 +178,7 @@ def gauges(exact_robot: bool) -> list[Gauge]:
 
 
 def little_turned(free: float, noise: tuple[float, float] | None = None) -> dict[str, Any]:
-    """All rotations about base z, the tool pointing up: tool axis z; or no rotation at all."""
+    """Return poses rotated only about base z with the tool pointing up (tool axis z), or not rotated at all."""
     rng = np.random.default_rng(8)
     data = sensors.seen_poses(8)
     R = so3.exp(free * rng.uniform(-2, 2, 30)[:, None] * [0.0, 0.0, 1.0])
@@ -321,7 +321,7 @@ def test_from_points_jacobian_is_the_derivative_of_the_residual(known) -> None:
 def test_a_missing_point_costs_three_residuals_and_nothing_else() -> None:
     data = sensors.seen_points(5)
     seen = np.ones((100, 3), dtype=bool)
-    seen[17, 1] = seen[99] = False  # the last sample saw nothing
+    seen[17, 1] = seen[99] = False  # no point is visible in the last sample
     spoilt = data.p.copy()
     spoilt[~seen] = 1e3
     fit = fit_hand_eye_points(data.A, spoilt, marker=sensors.MARKER, visible=seen, noise=SIGMA, robust=True)
@@ -381,14 +381,14 @@ def test_from_points_the_statistical_contract(runs: int, known: bool, missing: b
         bad = np.zeros(len(p), dtype=bool)
         bad[rng.choice(len(p), len(p) // 20, replace=False)] = True
         p[bad] += 0.05 * rng.standard_normal((bad.sum(), 3, 3))
-        if missing:  # an outlier that nobody saw cannot be flagged
+        if missing:  # an invisible outlier cannot be flagged
             bad &= data["visible"].any(axis=1)
         return {**data, "p_cam": p, "robust": True}, bad
 
     found = check_estimator(
         fit_hand_eye_points, experiment_of_points(known, missing), runs, n=40, error=error_points, gauges=gauges,
         refusals=refusals(known), spoil=spoil,
-        skip={"clean": "NaN is allowed where visible says so"} if missing else None,
+        skip={"clean": "NaN is allowed where visible is False"} if missing else None,
     )  # fmt: skip
     assert found.passed, found.text()
 
@@ -486,7 +486,7 @@ def test_unequal_noise_of_poses_counts_by_its_size() -> None:
 
 
 def lagging(seed: int, by: float, setup: str = "eye_to_hand", N: int = 100) -> tuple[Any, Any, Any, Any]:
-    """Return poses along a smooth motion, those of the marker seen `by` samples late, X and Y."""
+    """Return poses along a smooth motion, marker poses seen `by` samples late, X and Y."""
     rng = np.random.default_rng([31, seed])
     size, phase = rng.standard_normal((3, 6)) * np.repeat([0.25, 0.5], 3), 2.0 * np.pi * rng.random((3, 6))
 
@@ -503,7 +503,7 @@ def lagging(seed: int, by: float, setup: str = "eye_to_hand", N: int = 100) -> t
 @pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
 @pytest.mark.parametrize("by", [0.4, -0.7])
 def test_a_late_camera_is_found_and_named(setup, by) -> None:
-    """It made 0.4 samples 3.6 mm, with 1.2 stated and "good"."""
+    """A delay of 0.4 samples once caused an error of 3.6 mm, with 1.2 mm stated and the verdict "good"."""
     A, B, X, Y = lagging(1, by, setup)
     fit = fit_hand_eye(A, B, setup=setup)
     assert fit.names[-1] == "time offset"
@@ -528,7 +528,7 @@ def test_a_camera_in_time_has_no_offset() -> None:
 
 
 def test_exact_rotations_do_not_hide_the_positions() -> None:
-    """Rotations whose noise is 1e-17 made 0.5 mm of position an unseen direction, refused by the report."""
+    """With rotation noise of 1e-17, the report once called 0.5 mm of position noise an unidentifiable direction."""
     data = sensors.seen_poses(2, camera=(0.5e-3, 0.0))
     fit = fit_hand_eye(data.A, data.B)
     assert "noise of position" in fit.report()

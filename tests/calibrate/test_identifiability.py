@@ -53,7 +53,7 @@ def between(run: KinematicRun) -> dict[str, Any]:
 
 
 class TestRank:
-    """The table of the theory page: what each kind of measurement sees of an arm with six joints."""
+    """Table of the theory page: parameters of a six-joint arm that each kind of measurement identifies."""
 
     @pytest.mark.parametrize(("rank", "unseen", "options"), [
         (30, 0, lambda run: {"pose": run.pose, "noise": NOISE}),
@@ -81,7 +81,7 @@ class TestRank:
         assert fit.excitation.null_space.shape == (len(fit.names), 12 + unseen)
         null = fit.excitation.null_space
         np.testing.assert_allclose(null.T @ null, np.eye(12 + unseen), atol=1e-12)
-        if (rank, unseen) == (27, 3):  # no direction called unobservable moves a position
+        if (rank, unseen) == (27, 3):  # no unobservable direction moves a position
             assert np.abs(fit.value.pose_jacobian(case.q_valid)[:, :3] @ null).max() < 1e-9
 
     def test_one_joint_that_slides(self) -> None:
@@ -101,7 +101,7 @@ class TestRank:
             assert sum(name.startswith("gauge: ") for name in fit.excitation.null_names) == 14
 
     def test_parts_of_the_arm(self, case) -> None:
-        """Six joint offsets with base and tool: the first goes with the base, the last with the tool."""
+        """Six joint offsets with base and tool: the first is equivalent to a base motion, the last to a tool motion."""
         robot, q = case.robot, case.q
         shift = 0.02 * np.random.default_rng(4).standard_normal(6)
         pose = forward(robot, q + shift)
@@ -205,7 +205,7 @@ class TestUncertainty:
 
     @pytest.mark.parametrize("known", [True, False])
     def test_outliers_are_flagged(self, known: bool) -> None:
-        """K7: five of fifty poses wrong by 2 deg and 20 mm."""
+        """K7: five of fifty poses are off by 2 deg and 20 mm."""
         run = cell(2000).kinematics(0, wrong=5)
         fit = fit_kinematics(run.robot, run.q, pose=run.pose, noise=NOISE if known else None, robust=True)
         assert fit.outliers[:5].all()
@@ -217,10 +217,10 @@ class TestUncertainty:
 
 
 class TestAncestor:
-    """What calibLPOE of Robotlib.jl 1.1.15 does wrong, and is gone."""
+    """Defects of calibLPOE in Robotlib.jl 1.1.15 that must not return."""
 
     def test_the_lever_arm_does_not_turn_noise_of_rotation_into_noise_of_position(self) -> None:
-        """The twist in the base frame, unweighted, is 1.69 times the bound in position: here 1.00."""
+        """With unweighted base-frame twists, the position error is 1.69 times the bound; here, 1.00 times."""
         mm = []
         for run in range(16):
             data = cell(2000).kinematics(run, tool=False)
@@ -290,7 +290,7 @@ def test_the_statistical_contract() -> None:
     )
     found = check_estimator(
         fit_kinematics, experiment, 120, n=50, error=validation_error, gauges=[gauge], refusals=refusals, spoil=spoil,
-        skip={"efficient": "held to the bound by the benchmark and by test_the_bound"},
+        skip={"efficient": "the benchmark and test_the_bound check the bound"},
     )  # fmt: skip
     assert found.passed, found.text()
 
@@ -307,7 +307,7 @@ def test_the_statistical_contract() -> None:
     (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
 ], ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"])  # fmt: skip
 def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, runs: int) -> None:
-    """Errors over validation poses, beside the Cramer-Rao bound, within three standard errors of their ratio."""
+    """Errors over validation poses match the Cramer-Rao bound to within three standard errors of their ratio."""
     mm, degrees = [], []
     for i in range(runs):
         run, options = make(i)
@@ -323,7 +323,7 @@ def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, run
 
 
 def test_distances_to_an_unknown_point() -> None:
-    """K5, 12 runs: distances from the anchor to validation poses at 0.0250 mm, the bound."""
+    """K5, 12 runs: distances from the anchor to validation poses reach the bound of 0.0250 mm."""
     found = []
     for i in range(12):
         run = cell(2300).distances(i)

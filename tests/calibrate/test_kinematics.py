@@ -75,12 +75,12 @@ class TestExactData:
         pose = forward(truth, turned)
         fit = fit_kinematics(robot, q, pose=pose, noise=(1e-5, 1e-5), harmonics=(2,), joint_terms=terms)
         assert fit.excitation.rank == fit.excitation.expected == 28 + 10 + 6
-        np.testing.assert_allclose(fit.value.forward(q, terms), pose, rtol=0, atol=1e-6)  # the prior pulls a little
+        np.testing.assert_allclose(fit.value.forward(q, terms), pose, rtol=0, atol=1e-6)  # small bias from the prior
         np.testing.assert_allclose(fit.value.coefficients, gears - 1.0, rtol=0, atol=1e-5)
         np.testing.assert_allclose(fit.value.amplitudes, amplitudes, rtol=0, atol=1e-6)
 
     def test_joints_that_give_way_under_gravity(self) -> None:
-        """Compliance of joints 2 and 3 [rad/N m]: phi is the gravity torque of each, with masses that are known."""
+        """Compliance of joints 2 and 3 [rad/N m]: phi is the gravity torque of each, with known masses."""
         run = cell(2000).kinematics(0, 60)
         links = np.zeros((6, 10))
         links[:, 0], links[:, 1] = (100.0, 120.0, 60.0, 20.0, 10.0, 5.0), (5.0, 40.0, 8.0, 1.0, 0.5, 0.2)
@@ -97,7 +97,7 @@ class TestExactData:
         np.testing.assert_allclose(fit.value.forward(run.q, phi), pose, rtol=0, atol=1e-9)
 
     def test_parallel_axes_need_no_special_case(self) -> None:
-        """Axes 2 and 3 of this arm are parallel; tilted against each other by 0.01 deg a table would need a huge d."""
+        """Axes 2 and 3 of this arm are parallel; with a relative tilt of 0.01 deg, a DH table would need a huge d."""
         run = cell(2000).kinematics(1, tool=False)
         tilt = np.zeros((7, 3))
         tilt[2, 1] = 0.01 * DEGREE
@@ -120,14 +120,14 @@ def measurements(run: KinematicRun, kind: str) -> dict[str, Any]:
 
 class TestGaugeAndModels:
     def test_both_models_are_the_same_robot(self, case) -> None:
-        """K3: the product of exponentials about screws in the base, which Robotlib.jl has commented out."""
+        """K3: the product of exponentials with screws in the base frame, which is commented out in Robotlib.jl."""
         for data, noise in (({"pose": case.pose}, NOISE), ({"position": case.pose[:, :3, 3]}, 1e-4)):
             fits = [fit_kinematics(case.robot, case.q, noise=noise, model=m, **data) for m in ("local_poe", "poe")]
             ends = (fit.value.forward(case.q_valid) for fit in fits)
             np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
             np.testing.assert_allclose(*(fit.parameters for fit in fits), rtol=0, atol=1e-9)
             np.testing.assert_allclose(*(fit.cov for fit in fits), rtol=0, atol=1e-12)
-            screws = fits[1].value.robot.screws  # axes remain axes: of length 1, and without pitch
+            screws = fits[1].value.robot.screws  # the screws remain unit axes with zero pitch
             np.testing.assert_allclose(np.linalg.norm(screws[:, 3:], axis=1), 1.0, rtol=0, atol=1e-14)
             np.testing.assert_allclose(np.sum(screws[:, :3] * screws[:, 3:], axis=1), 0.0, rtol=0, atol=1e-14)
 
@@ -201,7 +201,7 @@ class TestMissingData:
         assert fit.excitation.null_names[12:] == tuple(f"missing: tool orientation about {axis}" for axis in "xyz")
         names = list(fit.names)
         held = fit.parameters[[names.index(f"tool w{axis}") for axis in "xyz"]]
-        assert np.abs(held).max() < 2e-3  # what the gauge of joint 6 carries, no more
+        assert np.abs(held).max() < 2e-3  # only the part carried by the gauge of joint 6
 
 
 class TestValue:
@@ -251,7 +251,7 @@ def test_most_samples_must_agree(case) -> None:
 
 
 def calibrated(name: str, harmonics: tuple[int, ...] = ()) -> tuple[Robot, KinematicCorrection, Fit]:
-    """Return an arm every frame of which is 1 mm and 1 mrad off, in truth and as it was found from exact poses."""
+    """Return a robot, its true correction with frame errors of 1 mm and 1 mrad, and the fit from exact poses."""
     robot, rng = robots.load(name), np.random.default_rng(1)
     n = robot.n
     q = rng.uniform(robot.q_min, robot.q_max, (80, n))
@@ -311,7 +311,7 @@ class TestGeometry:
             contact.Estimator(model, fit.value.robot)
         assert contact.Estimator(model, robot) is not None
         bases = [dynamics.base_parameters(one) for one in (robot, fit.value.robot)]
-        assert [len(base.B) for base in bases] == [50, 50]  # what axes 0.06 deg off perpendicular add is no parameter
+        assert [len(base.B) for base in bases] == [50, 50]  # axes 0.06 deg off perpendicular add no parameters
 
     def test_calibration_goes_on_from_it(self, yumi) -> None:
         _, truth, fit = yumi
@@ -343,7 +343,7 @@ class TestGeometry:
 
 class TestJointErrors:
     def test_it_is_reached_by_the_positions_that_are_asked_for(self, waved) -> None:
-        """Inverse kinematics of the frames, then `command`: the true arm is where it should be, else 0.3 mm off."""
+        """Inverse kinematics, then `command`: the true arm reaches the goals, otherwise it is 0.3 mm off."""
         robot, truth, fit = waved
         goals = truth.forward(postures(robot))
         there = kinematics.inverse(fit.value.robot, goals, postures(robot)).q

@@ -1,4 +1,4 @@
-"""Line scanners on plates: no guess, no scale by distance, and every line and plate counts as it should."""
+"""Line scanners on plates: no initial guess, no scaling by distance, and correct weights of all lines and plates."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_the_way_of_a_line_and_the_names_of_plates_do_not_matter() -> None:
 
 
 def test_plates_through_the_origin_are_plates_like_others() -> None:
-    """Defect of the original: equations were scaled by the distance of the plate, which is zero there."""
+    """Defect of the original: equations were scaled by the distance of the plate, which is zero for these plates."""
     data = sensors.scanned(6)
     moved = data.A.copy()
     moved[:, :3, 3] -= 1.0
@@ -94,7 +94,7 @@ def test_raw_profiles_and_their_lines_agree() -> None:
 
 
 def test_a_guess_may_be_wrong() -> None:
-    """Defect of the original: without a good guess it went astray in silence."""
+    """Defect of the original: without a good guess, it silently converged to a wrong result."""
     data = sensors.scanned(8)
     best = fit_laser_plane(**data.given, noise=NOISE)
     for turn in ([np.pi, 0, 0], [0, 0, np.pi], [0.5, -0.4, 0.3]):
@@ -120,7 +120,7 @@ def test_wrong_scans_are_flagged_by_index() -> None:
 
 
 def test_a_wrong_scan_that_holds_the_fit_is_found() -> None:
-    """Scan 0, its plate nearly parallel to the laser plane, tells more than the rest: 52 was left out for it."""
+    """Scan 0, whose plate is nearly parallel to the laser plane, dominates; scan 52 was once excluded instead."""
     data = cell(4000).laser(849, wrong=3)
     fit = fit_laser_plane(**data.given, noise=NOISE, robust=True)
     assert np.flatnonzero(fit.outliers).tolist() == [0, 1, 2]
@@ -200,7 +200,7 @@ def test_the_statistical_contract(runs: int) -> None:
     assert found.passed, found.text()
 
 
-@pytest.mark.slow  # 1 s each: everything is tried
+@pytest.mark.slow  # 1 s each: all alternatives are tried
 @pytest.mark.parametrize(("noise", "robust"), [(NOISE, False), (None, True)])
 def test_wrong_labels_are_refused_with_the_cause(noise, robust) -> None:
     data = sensors.scanned(13)
@@ -211,17 +211,17 @@ def test_wrong_labels_are_refused_with_the_cause(noise, robust) -> None:
 
 @pytest.mark.parametrize("run", [17, 27])
 def test_a_third_of_wrong_scans_does_not_lead_the_scale(run) -> None:
-    """They were fitted, 9 mm off and "good", when their noise was unknown: all wrong in the same way."""
+    """With unknown noise, consistently wrong scans were once fitted, with the result 9 mm off and called "good"."""
     data = sensors.scanned([5, run], wrong=20)
     fit = fit_laser_plane(**data.given, robust=True)
     assert fit.outliers[:20].all()
     assert np.all(np.abs(error(fit, (data.X, data.n, data.d))) < 4.0 * fit.sd)
 
 
-@pytest.mark.slow  # 2 s each: everything is tried
+@pytest.mark.slow  # 2 s each: all alternatives are tried
 @pytest.mark.parametrize("run", [3, 13, 19])
 def test_wrong_labels_among_good_ones_are_never_called_good(run) -> None:
-    """With 18 of 60 labels wrong, fits 0.2 m off said "good"."""
+    """With 18 of 60 labels wrong, fits that were 0.2 m off were once called "good"."""
     data, rng = sensors.scanned([9, run]), np.random.default_rng([9, run, 1])
     wrong, plane = rng.choice(60, 18, replace=False), data.plane.copy()
     plane[wrong] = (plane[wrong] + rng.integers(1, 3, 18)) % 3
@@ -232,7 +232,7 @@ def test_wrong_labels_among_good_ones_are_never_called_good(run) -> None:
 
 @pytest.mark.slow
 def test_wrong_scans_of_unknown_noise_over_many_runs() -> None:
-    for run in range(60):  # of 200, none is wrong either
+    for run in range(60):  # none of 200 runs is wrong either
         data = sensors.scanned([6, run], wrong=18)
         fit = fit_laser_plane(**data.given, robust=True)
         assert np.all(np.abs(error(fit, (data.X, data.n, data.d))) < 4.0 * fit.sd), run

@@ -1,4 +1,4 @@
-"""What the tests of all commands share."""
+"""Shared helpers of the command tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armlab.cli import main
 
 @pytest.fixture
 def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., pytest.CaptureResult[str]]:
-    """Return a function that runs a command in this process, checks its exit code and returns what it said."""
+    """Return a function that runs a command in this process, checks its exit code and returns its output."""
 
     def run(words: Iterable[object], code: int = 0) -> pytest.CaptureResult[str]:
         found = main([str(word) for word in words])

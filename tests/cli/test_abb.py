@@ -1,4 +1,4 @@
-"""armlab abb: from "nothing loaded, motors off" to EGM, each fault by its name, and no password anywhere."""
+"""armlab abb: from "nothing loaded, motors off" to EGM, a named error for each fault, and no password anywhere."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_each_fault_is_named(tmp_path: Path, fault: str, robotware: str, command
         assert NAMED[fault] in told.err
         assert "Traceback" not in told.err
         assert told.err.count("\n") == 1
-        if fault not in ("motors", "semantic"):  # seen before anything is changed
+        if fault not in ("motors", "semantic"):  # detected before anything is changed
             assert told.out == ""
             assert served.box.files == before
         if fault in REPLACED:
@@ -157,7 +157,7 @@ def test_no_password_without_a_terminal(tmp_path: Path, command: Callable[..., A
 
 @pytest.fixture
 def simulator(tmp_path: Path, robotware: str) -> Iterator[tuple[int, str]]:
-    """`armlab sim --rws`: the port of EGM and the address of its services."""
+    """Run `armlab sim --rws`; yield the EGM port and the address of its services."""
     port, errors = free_port(), tmp_path / "sim.txt"
     words = ["sim", "yumi_left", "--to", f"127.0.0.1:{port}", "--robotware", robotware, "--rws", "0"]
     with errors.open("w") as file, subprocess.Popen([sys.executable, "-m", "armlab", *words], stderr=file) as process:
@@ -205,9 +205,9 @@ def everything_in(log: Path) -> str:
 
 
 def command_lines() -> set[str]:
-    """Return the command lines of all processes, as everybody on this computer can read them."""
+    """Return the command lines of all processes, as readable by every user of this computer."""
     found = set()
     for line in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):  # it has just ended
+        with contextlib.suppress(OSError):  # the process has just ended
             found.add(line.read_bytes().decode(errors="replace"))
     return found

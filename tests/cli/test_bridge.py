@@ -1,4 +1,4 @@
-"""``armlab bridge``: its errors, and the commands that talk to a bridge that runs."""
+"""``armlab bridge``: its errors, and the commands for a running bridge."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ link = "sim://yumi_left"
 
 @pytest.fixture
 def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
-    """An exchange whose requests another thread takes, as when no packet of a robot comes."""
+    """Yield a hub whose requests another thread takes, as when no robot packets arrive."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     declared = [Parameter("gain", 2.0, unit="N/m", minimum=0.0, text="Stiffness."), Parameter("word", "a", "text")]
     exchange = Hub([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
@@ -84,7 +84,7 @@ def test_set(running: Hub, command) -> None:
     ("words", "code", "said"),
     [
         (["gain"], 2, "NAME=VALUE"),
-        (["gain=-1"], 1, "from 0 to inf"),  # the bridge that runs knows its parameters, and refuses
+        (["gain=-1"], 1, "from 0 to inf"),  # the running bridge checks the value and refuses it
         (["gan=1"], 1, "Did you mean 'gain'"),
         (["gain=3", "word=4"], 1, "Expected text of at most"),
         (["word=99999999999999999999"], 2, "a 64-bit integer"),
@@ -143,7 +143,7 @@ def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.slow
 def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says who listens where, ends on Ctrl-C with 130 and a report, and leaves nothing behind. Takes 4 s."""
+    """It reports its addresses, ends on Ctrl-C with 130 and a report, and leaves nothing behind. Takes 4 s."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "cell.toml"
     path.write_text(CELL)
@@ -161,7 +161,7 @@ def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert program.returncode == 130
     assert said.startswith("Ended: interrupted.\nyumi_left, RobotWare")
     assert re.search(r"Arrival to reply \[us\]: p50 (\d+|nan)", said)
-    one = r"\d+( \(\d+ dropped\))?"  # what was on its way as a client left
+    one = r"\d+( \(\d+ dropped\))?"  # rows in transit when a client left
     assert re.search(rf"Rows to the server local: \d+\. Rows from this server to its clients: ({one} )*{one}\.", said)
     assert not socket_path("small").exists()
 

@@ -1,4 +1,4 @@
-"""armlab calibrate: files of samples in, model files with their sources out, or a sentence and nothing."""
+"""armlab calibrate: sample files in, model files with their sources out, or an error message and no file."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def run(command) -> Callable[[list[Any]], dict[str, Any]]:
 
 
 def off(robot: Any, arm: KinematicRun) -> float:
-    """Error of the tool [mm] where it was not fitted."""
+    """Return the tool error [mm] at poses that were not fitted."""
     away = (forward(robot, arm.q_valid) - arm.pose_valid)[:, :3, 3]
     return 1e3 * float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
@@ -228,7 +228,7 @@ def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Pa
 
 
 def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path, command, run) -> None:
-    """Pairs are numbered in each file; a row without joint positions moves what comes after it."""
+    """Pairs are numbered in each file; a row without joint positions shifts the rows after it."""
     arm = sim.cell(2).distances()
     p, rng = arm.pose[:, :3, 3], np.random.default_rng(1)
     files = []

@@ -1,4 +1,4 @@
-"""Samples of calibrations: the same numbers from every format, and sentences for files that have none."""
+"""Calibration samples: the same numbers from every format, and error messages for files without samples."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_pose_is_the_same_from_every_format(T: np.ndarray, tmp_path: Path) -> 
     table = Table(np.arange(7.0), {"q": np.zeros((7, 6)), "pose": T}, {"pose": column})
     found.append(logs.write(table, tmp_path / "one.mcap", robots.load("irb2400")))
     with h5py.File(tmp_path / "hdf5.mat", "w") as file:
-        file["pose"] = T  # of another program, which does not transpose
+        file["pose"] = T  # from another program, which does not transpose
     found.append(tmp_path / "hdf5.mat")
     for path in found:
         read = read_samples(path)

@@ -1,4 +1,4 @@
-"""The demo: its plan, its verdict, and the whole of it over EGM."""
+"""The demo: its plan, its verdict, and a complete run over EGM."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, command, capsys)
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
-    """With seed 0 above: three seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
+    """Together with seed 0 above: three seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
     outcome = rehearse("yumi_left" if seed % 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
     verdict = judge(outcome["estimate"], outcome["plan"])
     assert verdict.passed, verdict.missed
@@ -82,7 +82,7 @@ def test_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
 @pytest.mark.parametrize(("name", "seed"), list(zip(any_arm.ARMS, range(1, 1 + len(any_arm.ARMS)))))
 @pytest.mark.filterwarnings("ignore:The arm of .* omits")  # the fingers of a hand
 def test_any_arm_with_masses_meets_its_scaled_bars(name: str, seed: int, tmp_path) -> None:
-    """One seed per arm of `benchmarks/any_arm.py`, which runs five."""
+    """One seed per arm of `benchmarks/any_arm.py`, which runs five seeds."""
     try:
         found = any_arm.demo(name, seed, tmp_path)
     except (UnknownName, RobotError) as error:
@@ -119,7 +119,7 @@ def test_directions_that_no_torque_tells_are_neither_pressed_nor_judged() -> Non
 
 
 def pretend(plan: Plan, error: np.ndarray, sigma: float = 0.5) -> Table:
-    """A run whose estimate is the truth plus `error` (N, 6)."""
+    """Return a run whose estimate is the truth plus `error` (N, 6)."""
     t = np.arange(0, 3.0 + plan.test.seconds, 0.004)
     wrench = plan.wrench(t) + error if error.ndim else plan.wrench(t) + error * np.ones((len(t), 6))
     cov = np.tile(sigma**2 * np.eye(6), (len(t), 1, 1))

@@ -38,7 +38,8 @@ def simulated(port: int, *words: str) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Streaming and not guided: a warning. About 3 s, of which the simulator needs one or two to start."""
+    """Streaming without guidance gives a warning. Takes about 3 s, including one or two for the start of the
+    simulator."""
     monkeypatch.setattr("armlab.bridge.doctor.report.machine", lambda seconds: [])
     port = free_port()
     with simulated(port):
@@ -50,7 +51,7 @@ def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) 
     assert found[f"port {port}, guidance"]["verdict"] == "warning"
     timing = re.match(r"period ([\d.]+) ms", found[f"port {port}, timing"]["value"])
     assert timing is not None
-    cycles = float(timing[1]) / 4.032  # a simulator on a busy machine leaves some out
+    cycles = float(timing[1]) / 4.032  # a simulator on a busy machine skips some
     assert round(cycles) >= 1
     assert cycles == pytest.approx(round(cycles), rel=1e-3)
     assert found[f"port {port}, senders"]["verdict"] == "ok"

@@ -25,7 +25,7 @@ from armlab.models import TorqueModel
 
 @pytest.fixture
 def pushed(monkeypatch, truth, model, tmp_path) -> str:
-    """A log with a press of 8 N along +x for one second, and the model file."""
+    """Prepare a log with a press of 8 N along +x for one second; return the model file."""
 
     def hand(t: np.ndarray) -> np.ndarray:
         return np.outer(8.0 * ((t > 3) & (t < 4)), np.eye(6)[0])

@@ -1,7 +1,7 @@
-"""Every verb: its example, its line in the reference, and with everything wrong a sentence, the right exit code, no
-traceback, and nothing half written.
+"""Every verb: its example, its line in the reference, and for every error a message, the right exit code, no traceback
+and no partial file.
 
-The table is made from the application itself, so that a new verb or option is tried from its first day.
+The table is generated from the application itself, so that new verbs and options are tested from the start.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NEED_NOTHING = {  # verbs without a required argument
     ("config", "show"), ("demo",), ("doctor",), ("fleet", "list"), ("fleet", "router"), ("monitor",),
     ("robot", "list"), ("view",),
 }  # fmt: skip
-HEAVY = (  # to import; what a help needs is cyclopts, and rich with it
+HEAVY = (  # slow imports; help needs only cyclopts and rich
     "cvxpy", "google.protobuf", "h5py", "lz4", "matplotlib", "msgspec", "mujoco", "numpy", "pyarrow", "rosbags",
     "ruckig", "scipy", "threadpoolctl", "tomli_w", "viser", "zstandard",
 )  # fmt: skip
@@ -251,11 +251,11 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def tried(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """Return a function that tries words, and checks what every failure has in common; it returns what was said."""
+    """Return a function that runs a command, checks the common properties of failures, and returns the output."""
     monkeypatch.chdir(desk)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(desk))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(desk))
-    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path))  # made where matplotlib is imported first
+    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path))  # created when matplotlib is first imported
     before = contents(desk)
 
     def attempt(words: list[str], codes: tuple[int, ...], silent: bool = True) -> str:
@@ -279,7 +279,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 
 
 def test_help_ends_with_an_example_that_is_right_and_imports_nothing_heavy() -> None:
-    """In one process that tells the first command of each: a help that must be waited for is not asked for."""
+    """Run in one process that reports the first command to import each module; nobody asks for slow help."""
     code = (
         "import contextlib, io, json, sys\nfrom armlab import cli\nsaid = {}\nfound = {}\n"
         f"for words in {[(), *verbs()]}:\n"
@@ -295,7 +295,7 @@ def test_help_ends_with_an_example_that_is_right_and_imports_nothing_heavy() -> 
     app = cli.build_app()
     for words in verbs():
         ending = said[" ".join(words)].rpartition("Example: armlab ")[2]
-        example = ending.partition("For a URDF,")[0].split()  # in one line, or broken into two
+        example = ending.partition("For a URDF,")[0].split()  # on one line, or broken into two
         assert tuple(example[: len(words)]) == words
         example = take_robot_options(example)
         assert not app.parse_args(example, exit_on_error=False, print_error=False)[2]
@@ -353,7 +353,7 @@ def test_what_exists_is_kept_and_a_missing_folder_named(words: str, tried, desk:
 )
 def test_a_wrong_number_gets_a_sentence(words: str, option: str, value: str, tried) -> None:
     if (option in MAY_BE_INFINITE and value == "1e999") or (option == "start" and value == "-1"):
-        pytest.skip("this is a time without end, or one before the first sample")
+        pytest.skip("infinite time, or time before the first sample")
     tried([*words.split(), f"--{option}={value}"], (cli.WRONG_USE,))
 
 
@@ -381,7 +381,7 @@ def test_a_port_in_use_is_told_with_who_has_it(words: str, tried) -> None:
 
 @pytest.mark.parametrize("words", [words for words in rows(INPUTS) if words.split()[0] in READING])
 def test_a_file_of_somebody_else_is_named(words: str, tried, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tried(words.format("toml").split(), (cli.FAILED, cli.WRONG_USE))  # imports what nobody else may read
+    tried(words.format("toml").split(), (cli.FAILED, cli.WRONG_USE))  # imports modules that other users may not read
     main, me = cli.main, os.geteuid()
 
     def as_somebody_else(words: list[str]) -> int:
@@ -403,7 +403,7 @@ def test_a_file_of_somebody_else_is_named(words: str, tried, desk: Path, monkeyp
 @pytest.mark.parametrize("words", rows(FULL))
 def test_a_full_disk_leaves_nothing_half(words: str, tried, full_disk) -> None:
     with full_disk():
-        said = tried(words.split(), (cli.FAILED,), silent=False)  # the result may be told before
+        said = tried(words.split(), (cli.FAILED,), silent=False)  # the result may be printed first
     assert "oo large" in said
     assert "new." in said
 

@@ -58,7 +58,7 @@ def test_the_motion_is_written_and_what_it_tells_is_printed(tmp_path, command) -
 
 def test_one_joint_at_constant_speeds(tmp_path, monkeypatch, command) -> None:
     asked: list[int | str] = []
-    with monkeypatch.context() as patch:  # the real motion lasts for minutes: much to write
+    with monkeypatch.context() as patch:  # the real motion lasts for minutes and is slow to write
         short = identify.dither(robots.load("yumi_left").q_home, 2.0)
         patch.setattr("armlab.identify.friction_run", lambda robot, joint: asked.append(joint) or short)
         for joint in ("3", "axis_4"):
@@ -77,7 +77,7 @@ def test_a_motion_is_within_the_setting_of_speed_unless_asked_for(tmp_path, monk
     assert (said["speed"], said["seconds"]) == (0.2, 10)
     assert all(parameter["sd"] > 0 for parameter in said["parameters"])
     limit = robots.load("yumi_left").qd_max
-    assert np.max(np.abs(log.read("slow.csv")["qd"]) / limit) < 0.2005  # between the samples that the design looks at
+    assert np.max(np.abs(log.read("slow.csv")["qd"]) / limit) < 0.2005  # exceeded slightly between design samples
     assert main(["excite", "yumi_left", "--seconds", "10", "-o", "fast.csv", "--speed", "0.5"]) == 0
     assert np.max(np.abs(log.read("fast.csv")["qd"]) / limit) > 0.2
     said = command(["excite", "yumi_left", "--saved", "fast.csv", "--run", "sim://yumi_left"], 2).err
@@ -116,7 +116,7 @@ def test_a_run_that_was_refused_is_not_to_be_identified(tmp_path, monkeypatch, c
 
 @pytest.mark.slow
 def test_it_runs_on_the_simulated_controller_and_the_log_can_be_identified(tmp_path, monkeypatch, command) -> None:
-    """About 15 s: 20 s of motion in lockstep, then the identification from its log, with a report."""
+    """Takes about 15 s: 20 s of motion in lockstep, then identification from its log, with a report."""
     monkeypatch.chdir(tmp_path)
     words = ["--seconds", "20", "--run", "sim://yumi_left?lockstep=true&seed=1", "--log", "excite.mcap"]
     said = command(["excite", "yumi_left", *words, "--approach", "2"]).err

@@ -1,4 +1,4 @@
-"""``armlab fleet``: the verbs over many robots."""
+"""``armlab fleet``: the verbs for many robots."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_an_empty_fleet(tmp_path: Path, command) -> None:
         assert json.loads(command(["fleet", "list", *where, "--json"]).out) == []
         said = command(["fleet", "record", *where, "-o", tmp_path / "new", "--seconds", "0"]).out
         assert said == "No robots recorded.\n"
-    assert threading.active_count() < 20  # what listened has ended
+    assert threading.active_count() < 20  # the listening threads have ended
 
 
 @pytest.fixture

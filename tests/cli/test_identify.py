@@ -1,4 +1,4 @@
-"""armlab identify and armlab payload: a report and a file, or a sentence and no file."""
+"""armlab identify and armlab payload: a report and a file, or an error message and no file."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def worse(fit: Fit[TorqueModel], **quality: np.ndarray) -> Fit[TorqueModel]:
 
 
 def bent(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """Negative friction of joint 2, stretched covariances, and a narrow range."""
+    """Return the fit with negative friction of joint 2, inflated covariances, and a narrow training range."""
     model = fit.value
     friction = replace(model.friction, viscous=np.where(np.arange(7) == 1, -0.1, model.friction.viscous))
     parts = {"covariance": replace(model.covariance, alpha2=16.0), "momentum": replace(model.momentum, alpha2_kf=25.0)}
@@ -205,7 +205,7 @@ def bent(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
 def test_what_is_good_and_what_is_bad_is_said(
     fitted, trial: ModelTrial, excited: Table, truth, part: str, sentence: str, change, share: float, coverage
 ) -> None:
-    """`share`: of a test log, over that of held-out blocks."""
+    """`share`: relative residual of a test log, divided by that of held-out blocks."""
     known = fitted.value.quality.rms_cv / fitted.value.quality.torque_sd
     seen = replace(trial, unseen=True, share=share * known) if share else trial
     seen = seen if coverage is None else replace(seen, coverage=coverage)

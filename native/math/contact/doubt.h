@@ -10,7 +10,7 @@ namespace armlab {
 constexpr double settling = 60.0;  // 1/s, rate of the acceleration filter in row w
 
 // Columns of joint i: those of the regressor [links (10 n), rotors (n)], then its own friction
-// parameters: viscous, Coulomb of either direction, offset, Stribeck, root, load.
+// parameters: viscous, Coulomb in each direction, offset, Stribeck, root, load.
 class ParameterDoubt {
  public:
   enum Term { viscous, coulomb_pos, coulomb_neg, offset, stribeck, root, load, terms };

@@ -81,7 +81,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   }
   rnea(p_.bodies(), q, qd, qdd, rigid);
   for (int i = 0; i < n; ++i) {
-    // near rest, dry friction takes any value within the bound
+    // near rest, dry friction can take any value within the bound
     const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;
     const DriveState &state = next[i].drive.state;
     raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], state, dry_share) -

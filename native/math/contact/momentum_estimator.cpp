@@ -96,7 +96,7 @@ void MomentumEstimator::step(
 }
 
 // r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): low-pass filtered J^T F, stable for any
-// step. At first, it contains only a share of the wrench.
+// step. At first, it contains only part of the wrench.
 void MomentumEstimator::observe(
     const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e) {
   const int n = this->n();
@@ -127,7 +127,7 @@ void MomentumEstimator::observe(
   e.tell(unknowns, p_, x.x, x.P);
 }
 
-// Inputs of the momentum and their noise: wrench in units of its prior, and friction errors.
+// Inputs to the momentum and their noise: wrench in units of its prior, and friction errors.
 void MomentumEstimator::hidden(const double *q, const double *qd, const Sample &s, const double *A,
     double dt, WrenchEstimate &e) {
   const int n = this->n(), k = unknowns(), m = inputs();

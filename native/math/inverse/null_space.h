@@ -8,7 +8,7 @@ namespace armlab {
 constexpr double no_slope = 1e-6;  // relative slope that counts as zero if there is no curvature
 
 // The null space of J (M rows) over the moving joints, and the projection of a gradient onto it:
-// gradient = J^T mu + N reduced. By Householder reflections of J^T.
+// gradient = J^T mu + N reduced. Computed by Householder reflections of J^T.
 template <int M>
 struct NullSpace {
   int joints, joint[max_joints];         // the moving joints

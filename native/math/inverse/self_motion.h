@@ -259,7 +259,7 @@ class SelfMotion {
   }
   double end(int i) const { return step_[i] > 0.0 ? box_.high[i] : box_.low[i]; }
 
-  // Returns trial_ to the goal; false on failure.
+  // Moves trial_ back to the goal; false on failure.
   bool restore(const Box &box) {
     evaluate(chain_, goal_, weight_, trial_);
     for (int k = 0; k < 8 && trial_.square > 1e-30; ++k) {

@@ -41,7 +41,7 @@ struct Quaternion {
   Vec3<Real> v;
 };
 
-// Length from the C library, for when a square overflows or underflows.
+// Length from the C library, used if a square overflows or underflows.
 inline double exact_norm(const Vec3<double> &a, double) { return std::hypot(a.x, a.y, a.z); }
 #ifdef ARMLAB_LANES
 inline Lanes exact_norm(const Vec3<Lanes> &a, Lanes length) {

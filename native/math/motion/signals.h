@@ -25,7 +25,7 @@ class SignalOperator {
   const std::vector<double> &init() const { return init_; }
   std::size_t channels() const { return x_.size(); }  // 0 before the first sample
 
-  // Processes one sample of n channels; t is not NaN, or null without time stamps. out must not
+  // Processes one sample of n channels; t is never NaN, and null without time stamps. out must not
   // overlap x.
   SignalStatus step(std::size_t n, const double *x, const double *t, double *out);
 

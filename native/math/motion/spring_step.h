@@ -1,5 +1,5 @@
 // The spring of a movement primitive, advanced exactly under a forcing term that is quadratic over
-// the step. It is a header so vectorised loops can inline it.
+// the step. It is a header so that vectorised loops can inline it.
 #pragma once
 
 #include <algorithm>

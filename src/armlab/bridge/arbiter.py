@@ -320,7 +320,7 @@ class Arbiter:
             return self._follow(holder.order, holder.order.trajectory, state, 0.0 if is_fresh else dt)
         q, axes, jump = holder.command.q, self._axes[robot.name], self._limits[robot.name].jump
         if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > jump):
-            return None  # the arm has held since this command; resuming it would be a jump, which ends the run
+            return None  # the arm has held since this command; resuming it would cause a jump, which ends the run
         return holder.command
 
     def _follow(self, order: Order, trajectory: TrajectoryController, state: State, dt: float) -> Command | None:

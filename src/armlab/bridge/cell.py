@@ -459,7 +459,7 @@ def run_cell(
     cell : Cell
         From `parse_cell`.
     listen : iterable of str
-        Options ``SERVER=ADDRESS``, see `listening`.
+        Options ``SERVER=ADDRESS``; see `listening`.
     seconds : float, s
         The run ends after this much robot time under guidance.
     patience : float, s

@@ -419,7 +419,7 @@ def _charuco_points(cv2: Any, detector: Any, image: np.ndarray) -> Corners | str
         return f"{count} board corners (minimum {FEW_CORNERS}), {known} board markers"
     places = np.asarray(detector.getBoard().getChessboardCorners(), dtype=float)[ids.ravel()]
     if np.linalg.matrix_rank(places[:, :2] - places[:, :2].mean(axis=0), 1e-6) < 2:
-        return "all detected corners are on one line"
+        return "all detected corners are collinear"
     return places, _sharpened(cv2, detector.getBoard(), image, places, corners.reshape(-1, 2))
 
 

@@ -82,7 +82,7 @@ def largest_rotation(R: np.ndarray) -> float:
 
 
 def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Return the doubts, extended by all remarks that end with a question mark, and the remaining remarks."""
+    """Return the doubts plus all remarks that end with a question mark and, separately, the other remarks."""
     asked = (line for line in remarks if line.endswith("?"))
     return (*check.doubts, *asked), [line for line in remarks if line and not line.endswith("?")]
 

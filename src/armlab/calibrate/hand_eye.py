@@ -51,13 +51,13 @@ WHAT = "hand-eye calibration"
 COMPONENTS = ("t",) * 3 + ("R",) * 3
 SHARED = 0.3  # relative length above which a component of a direction is named
 APART = 0.5  # ratio of residual to spread above which two records are inconsistent
-COARSE = 0.03  # ratio of residual to spread too large to be sensor noise
+COARSE = 0.03  # ratio of residual to spread that is too large for sensor noise
 NOTHING, FITS_BETTER = 1e-4, 0.1  # misfit that counts as zero [rad^2]; relative misfit of a better interpretation
 FAR = 30.0  # spread [m] beyond the reach of any arm, as when 30 cm are given in millimetres
 LATE, ENOUGH = 4.0, 12  # smallest significant time offset in standard deviations; samples needed to estimate it
 LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger ones are pairing errors
 STENCIL = 5  # number of poses of the interpolating polynomial
-PROBE, TINY = 1e-5, 1e-12  # step of a numerical derivative in samples; rounding in m or rad
+PROBE, TINY = 1e-5, 1e-12  # step of a numerical derivative in samples; rounding error in m or rad
 FIRST_ORDER = 0.05  # rad; larger standard deviations are only first-order approximations
 
 
@@ -237,7 +237,7 @@ class HandEyeEquation:
 
     @cached_property
     def spread(self) -> float:
-        """Position spread [m]: RMS distance from the mean, the larger value of the two records."""
+        """Position spread [m]: RMS distance from the mean; the larger of the two records' values."""
         both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 

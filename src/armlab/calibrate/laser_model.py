@@ -301,7 +301,7 @@ def require_slant(scans: Scans, scene: Scene) -> None:
 
 
 def require_units(scans: Scans, ratio: float) -> None:
-    """Raise an error before the fit if the length units of scans and poses differ strongly."""
+    """Raise an error before the fit if the length units of scans and poses differ greatly."""
     size = _unit(scans, ratio)
     if not 1.0 / FAR < size < FAR:
         raise misfit(scans, ratio, None, f"lengths {size:.2g} times those of the poses")

@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _run(words)
         except Exception as error:
-            if interrupts:  # compiled modules raise other errors if interrupted on import
+            if interrupts:  # compiled modules raise other errors if interrupted during import
                 _say("interrupted.")
                 return INTERRUPTED
             if debug:
@@ -236,7 +236,7 @@ def _default() -> Any:
 
 
 def _wrapped(shown: Any) -> Any:
-    """Join the lines of each paragraph of a help text; keep blank lines, lists and indented lines."""
+    """Join the lines of each paragraph of help text; keep blank lines, lists and indented lines."""
     from rich.text import Text
 
     text = getattr(shown, "primary_renderable", None)

@@ -115,7 +115,7 @@ def certificates(folder: Path, *, host: list[str] | None = None) -> None:
 
     Parameters:
         folder: Output folder. Secret files are readable only by you.
-        host: Host names and addresses under which clients reach the bridge; localhost is always included.
+        host: Host names and addresses at which clients reach the bridge; localhost is always included.
     """
     result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
@@ -163,8 +163,8 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
     """Write a lab's certificate authority, a bridge's certificate and key, and the users' passwords.
 
     ``lab.pem`` is public. ``bridge.pem``, ``bridge.key`` and ``users.txt`` belong on the bridge's computer (and on that
-    of the lab's router). ``USER.secret`` is for that user only. ``lab.key`` signs the certificates of further bridges
-    and stays private. Only the owner can read the keys and passwords. An existing certificate authority and existing
+    of the lab's router). ``USER.secret`` is for that user only. ``lab.key`` signs certificates for additional bridges;
+    keep it private. Only the owner can read the keys and passwords. An existing certificate authority and existing
     users are kept.
     """
     names = ["localhost", "127.0.0.1", *hosts]
@@ -322,5 +322,5 @@ def table(watch: Watch, now_ns: int) -> RenderableType:
     for k, arm in enumerate([{"arm": ""}, *arms]):
         shown.add_column(arm["arm"], no_wrap=k == 0)
     for key in list(arms[0])[1:]:
-        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # plain text: brackets are rich markup
+        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # rich reads brackets as markup
     return Group(shown, Text("\n".join(watch.notes())))

@@ -19,7 +19,7 @@ from armlab.errors import ConfigError, LinkError
 if TYPE_CHECKING:
     from armlab.bridge.doctor.machine import Finding
 
-_ROW_BYTES = 600  # recorded bytes per packet of seven joints with torques, compressed
+_ROW_BYTES = 600  # compressed bytes per recorded packet of seven joints with torques
 _PACKETS = 250 * 3600  # packets per hour
 _LEAST_HOURS = 1.0
 _LEAST_SPEED = 5e6  # bytes/s, ten times the data rate of two arms
@@ -41,7 +41,7 @@ def doctor(
     Listens on the ports and sends nothing to a robot. Exit codes: 0 success, 3 warnings, 1 failures.
 
     Parameters:
-        robot: Robot expected at each port (library name or robot file), whose axes and posture are checked.
+        robot: Robot expected at each port (library name or robot file); its axes and posture are checked.
         port: UDP ports, separated by commas; default: 6510, 6511 and 6512, or the ports of `armlab record` for these
             robots.
         seconds: Listening time [s].
@@ -78,7 +78,7 @@ def _controller(host: str, ports: Sequence[int] | None, insecure: bool, ca: Path
 
 
 def disk(folder: Path) -> Finding:
-    """Measure the write speed and sync time of the disk for logs, and its free space in hours of recording."""
+    """Measure the write speed and sync time of the log disk, and its free space in hours of recording."""
     from armlab.bridge.doctor.machine import Finding
 
     syncs: list[float] = []

@@ -89,7 +89,7 @@ def excite(
             constant speeds in both directions.
         saved: Use the motion in this file (written by -o) instead of a new design.
         noise: Standard deviation of the robot's torque signal [N m]; the predicted standard deviations scale with it.
-        figure: Draw the motion to this PNG, SVG or PDF file.
+        figure: Save a plot of the motion to this PNG, SVG or PDF file.
         run: Link on which to run the motion: egm://HOST:PORT for a real robot, sim://yumi_left or sim://FILE for a
             simulated one.
         log: Log file of the run; if it exists, -2, -3, ... is appended. Default: excite.mcap in the log folder.

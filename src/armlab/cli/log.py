@@ -33,7 +33,7 @@ log: App = App(name="log", help="Show, export, cut, resample, merge, open and re
 
 @log.command(help_epilogue="Example: armlab log show run.mcap")
 def show(file: Path, *, columns: Columns = None, json: Json = False, parameters: bool = False) -> None:
-    """Show the content of a log: rows, rate, columns with units and ranges; for a recording also metadata and events.
+    """Show the contents of a log: rows, rate, columns with units and ranges; for a recording also metadata and events.
 
     Topics of an MCAP file or a bag not recorded by armlab are listed separately. The log name of a cell selects the
     files of all its arms.
@@ -50,7 +50,7 @@ def show(file: Path, *, columns: Columns = None, json: Json = False, parameters:
 
 
 def _held(file: Path, columns: str | None, json: bool, parameters: bool) -> Any:
-    """Return the content of a file as text, or as data for JSON."""
+    """Return the contents of a file as text, or as data for JSON."""
     import warnings
 
     from armlab.cli.support.log_input import reading_bar
@@ -58,7 +58,7 @@ def _held(file: Path, columns: str | None, json: bool, parameters: bool) -> Any:
     from armlab.log.topics.reader import is_foreign
 
     kind = format_at(file)
-    held = armlab.log.inspect(file) if kind in ("MCAP", "") else None  # raises for other files
+    held = armlab.log.inspect(file) if kind in ("MCAP", "") else None  # raises an error for other files
     if held and not held.topics:
         raise LogError(f"Expected messages in {file}, got no readable message in {held.size} bytes.")
     if parameters and json:
@@ -83,7 +83,7 @@ def _files_of(file: Path) -> list[Path]:
         return [file]
     found = []
     for path in sorted(file.parent.glob(f"{escape(file.stem)}?*{file.suffix}")):
-        end = re.sub(r"-\d+$", "", path.stem.removeprefix(file.stem))  # without the number of a repeated name
+        end = re.sub(r"-\d+$", "", path.stem.removeprefix(file.stem))  # without the number appended to a repeated name
         with suppress(LogError, OSError):
             robot = armlab.log.inspect(path).metadata.get("armlab", {}).get("robot", "")
             if end in ("left", "right", f"-{robot}"):
@@ -250,7 +250,7 @@ def resample(
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
         rate: Rows per second [Hz].
-        max_gap: Longest gap between rows to interpolate [s]; larger gaps give missing values. Default: three periods.
+        max_gap: Longest gap between rows to interpolate [s]; longer gaps give missing values. Default: three periods.
         robot: As in armlab log export.
         output: The new file, with an extension supported by armlab log export.
     """
@@ -432,7 +432,7 @@ def _when(stamp_ns: int, t0_ns: int) -> str:
 
 
 def _column_rows(table: Table) -> list[tuple[str, ...]]:
-    """Return a row per column: its shape, unit, frame, number of missing values, minimum and maximum."""
+    """Return one row per column: its shape, unit, frame, number of missing values, minimum and maximum."""
     import numpy as np
 
     from armlab.log.table import statistics

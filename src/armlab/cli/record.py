@@ -72,7 +72,7 @@ def record(
 
 
 _STEPS = """Lead-through, step by step:
-  1. Select manual mode with motors off, and move the program pointer to main of ArmlabStream.mod, which only streams.
+  1. Select manual mode with motors off, and move the program pointer to main in ArmlabStream.mod, which only streams.
   2. Start RAPID with the arm in its home posture. This program reports the first packet.
   3. Stop RAPID and switch on lead-through, either on the pendant or with SetLeadThrough \\On. Some controllers stop
      sending packets at this point; in this case, switch lead-through on in RAPID before streaming starts.

@@ -47,7 +47,7 @@ def show(
 
     Parameters:
         name: Name in the library, or the path of a description, .toml or .urdf.
-        figure: Draw the arm in its home posture to this file; .png, .svg or .pdf.
+        figure: Save a drawing of the arm in its home posture to this .png, .svg or .pdf file.
     """
     from armlab.robots.files import description
 
@@ -93,7 +93,7 @@ def export(
     """Export a robot with its calibrated and identified parameters for other programs.
 
     Inertias become physically consistent <inertial> elements; unidentifiable parameters are chosen freely and do not
-    change the torques. Viscous and Coulomb friction become <dynamics>. Rotor inertias (armature in Pinocchio and
+    affect the torques. Viscous and Coulomb friction become <dynamics>. Rotor inertias (armature in Pinocchio and
     MuJoCo) and other friction terms, which URDF cannot express, are written as a comment at the top.
 
     Parameters:

@@ -58,7 +58,7 @@ INVALID = 1
 WEAK = 2
 """At least one axis has an observability below 0.5, so the prior outweighs the torques."""
 STUCK = 4
-"""Every joint torque is within its friction bound; only the interval of the wrench is known."""
+"""Every joint torque is within its friction bound; only bounds on the wrench are known."""
 INFEASIBLE = 8
 """No wrench explains the torques within their bounds; the contact point or the model is wrong."""
 SINGULAR = 16
@@ -147,7 +147,7 @@ def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
 
 
 def check_distance(places: np.ndarray, robot: Robot) -> None:
-    """Reject points further from the tool than the arm is long; they are usually in millimetres."""
+    """Reject points farther from the tool than the length of the arm; such points are usually in millimetres."""
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:
         raise ShapeError(
@@ -376,7 +376,7 @@ class Estimator:
         table : log with columns q, qd, tau (N, n).
         tare : duration from the start [s], or slice of rows, in which the arm rests without contact. The torque error
             in this interval is attributed to friction while every joint stays within its presliding distance. The
-            torque standard deviation decreases by up to half. Rows with a tare have the flag TARED.
+            torque standard deviation decreases by up to half. Tared rows have the flag TARED.
         progress : called with (rows done, total rows, description).
 
         Raises

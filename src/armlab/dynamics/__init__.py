@@ -5,8 +5,8 @@ The equation of motion is::
     M(q) qdd + C(q, qd) qd + g(q) = tau + J(q)^T f_ext
 
 All functions are compiled and broadcast over leading axes. Joints are ordered from base to tool; they are revolute
-[rad, N m] or prismatic [m, N]. Mount, tool and gravity are those of the robot. For motors behind coupled gears, convert
-torques with ``couplings.joint_torque_to_motor(robot, tau)``; the motor-side mass matrix is ``G^T M G`` with
+[rad, N m] or prismatic [m, N]. The mount, tool and gravity are those of the robot. For motors behind coupled gears,
+convert torques with ``couplings.joint_torque_to_motor(robot, tau)``; the motor-side mass matrix is ``G^T M G`` with
 G = `Robot.coupling`.
 
 The first argument is a `Robot` with inertias, or an identified `TorqueModel`. A model contains base parameters only, so

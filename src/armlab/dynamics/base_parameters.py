@@ -21,7 +21,7 @@ from armlab.robots import Robot
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8  # relative to the largest column or entry
-INDEPENDENT = 0.02  # least independent fraction of a column: 0 or > 0.5 for nominal arms, plus axis errors [rad]
+INDEPENDENT = 0.02  # minimum independent fraction of a column: 0 or > 0.5 for nominal arms, plus axis errors [rad]
 SEED = 20170101
 
 
@@ -31,13 +31,13 @@ class BaseParameters(Shown):
 
     Attributes
     ----------
-    names : names of the p base parameters, which state the combinations of link parameters.
+    names : names of the p base parameters, each stating its combination of link parameters.
     units : units of the p base parameters: kg, kg m or kg m^2.
     kept : (p,) columns of the regressor [links (10 n), rotors (n)] that represent the base parameters.
     B : (p, 11 n) map from link parameters and rotors pi to base parameters, ``base = B @ pi``.
     lift : (11 n, p) map from base parameters to the minimum-norm pi with ``D pi = 0``.
     D : (n, 11 n) map from pi to the constant torque contained in the offset of each joint.
-    offset_names : names of the n offsets, which state the masses that contribute.
+    offset_names : names of the n offsets, each listing the masses that contribute.
     seen : (n, p) mask of the base parameters that affect the torque of each joint.
     quasi_static : whether only the gravity parameters are included.
     """
@@ -72,8 +72,8 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
 
     The regressor is evaluated at 50 n random states (fixed seed), and its columns are scaled to norm 1. A column is
     independent if more than 2 % of it lies outside the span of the preceding columns. The axis errors of a calibrated
-    arm stay below this threshold. Columns are ordered as offsets, first moments and inertias from base to tip, rotors,
-    and masses. Names therefore read ``m c_x2 + 0.2465 m3``, as in the literature.
+    arm stay below this threshold, so they add no parameters. Columns are ordered as offsets, first moments and inertias
+    from base to tip, rotors, and masses. Names therefore read ``m c_x2 + 0.2465 m3``, as in the literature.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ def _run(trial: ContractTrial, case: Experiment, fit: Fit[Any]) -> FitRun:
 
 
 def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
-    """Return the runs with `times` as many samples, computed once."""
+    """Return the runs with `times` as many samples, cached after the first call."""
     key = f"runs {times}"
     if key not in trial.done:
         seeds = range(trial.seed, trial.seed + trial.runs)
@@ -255,7 +255,7 @@ def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
 
 
 def refuses(trial: ContractTrial) -> Verdict:
-    """Data that leave a direction undetermined raise NotExcited, which names the direction."""
+    """For data that leave a direction undetermined, the fit raises NotExcited and names the direction."""
     if not trial.refusals:
         return False, "no data without excitation available for the test: pass refusals, or skip the test with a reason"
     wrong = []
@@ -266,13 +266,13 @@ def refuses(trial: ContractTrial) -> Verdict:
         except NotExcited as error:
             if not any(words in direction for direction in error.directions):
                 wrong.append(f"{words!r} was reported as {'; '.join(error.directions)}")
-        except Exception as error:  # any other exception is a finding
+        except Exception as error:  # any other exception is reported as a failure
             wrong.append(f"{words!r} raised {type(error).__name__}")
     return not wrong, "; ".join(wrong) or f"{len(trial.refusals)} cases raise NotExcited naming the direction"
 
 
 def saves(trial: ContractTrial) -> Verdict:
-    """A saved fit loads bit-identically; loading it as a different kind fails."""
+    """A saved fit is restored bit-identically; loading it as a different kind fails."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     with tempfile.TemporaryDirectory() as folder:
         path = fit.save(Path(folder) / "fit.toml")
@@ -386,7 +386,7 @@ class Experiment(Shown):
     Attributes
     ----------
     data : keyword arguments of the fit: arrays with samples along axis 0, Tables, noise and options.
-    truth : expected parameters (d,) of the fit, or any value that the argument `error` interprets.
+    truth : expected parameters (d,) of the fit, or any value that the function `error` accepts.
     bound : (d, d) Cramer-Rao bound of the errors; required to assess efficiency.
     """
 
@@ -554,7 +554,7 @@ def check_estimator(
     for name, judge in JUDGES.items():
         try:
             verdict = (None, f"skipped: {reasons[name]}") if name in reasons else judge(trial)
-        except Exception as fault:  # any exception raised by a fit is a finding
+        except Exception as fault:  # any exception raised by a fit is reported as a failure
             verdict = False, f"raised {type(fault).__name__}: {fault}"
         found.append(Property(name, *verdict))
     return Contract(tuple(found), runs)

@@ -1,6 +1,6 @@
 """Total least squares: errors in both the regressor and the measurements.
 
-    (A - E_A) x = y - e_y,    the rows of [E_A e_y] are independent with covariance C_i
+    (A - E_A) x = y - e_y, where the rows of [E_A e_y] are independent with covariance C_i
 
 With rows z = [a y], w = [x; -1] and ``s_i = w^T C_i w``, the maximum-likelihood x minimises
 ``sum_i (z_i . w)^2 / s_i``. Row i is corrected by ``C_i w (z_i . w) / s_i``, and the corrected rows give the covariance
@@ -91,9 +91,7 @@ def total_least_squares(
             raise ShapeError("Expected exact= or cov=, got both. Use zeros in cov for exact columns.")
         return _weighted(A, y, _covariance(cov, len(A), p + 1), robust, labels)
     if robust:
-        raise ShapeError(
-            "Expected cov= with robust=True, got no cov. Pass the covariance of rows that are not outliers."
-        )
+        raise ShapeError("Expected cov= with robust=True, got no cov. Pass the covariance of the inlier rows.")
     return _plain(A, y, free, labels)
 
 

@@ -14,7 +14,7 @@ from armlab.estimation.tsqr import Factors, triangle
 
 MAX_CONDITION = 1e4  # condition number above which a direction counts as not excited
 WARN_CONDITION = 300.0
-NULL = 1e-9  # relative singular value below which a direction is unobservable, not weak
+NULL = 1e-9  # relative singular value below which a direction is unobservable rather than weak
 NAMED = 0.3  # fraction of the largest component above which a component is named
 
 UNOBSERVABLE = 1e-3  # effect of one prior SD on the rows, in noise SDs, below which the data carry no information
@@ -79,8 +79,7 @@ class Excitation(Shown):
         ----------
         A : (m, p) whitened design matrix, or its triangular factor R (p, p).
         names : names of the p parameters.
-        max_condition : largest ratio of the largest singular value to a singular value that still counts towards the
-            rank.
+        max_condition : maximum ratio of the largest singular value to a singular value that counts towards the rank.
         """
         A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
@@ -269,7 +268,7 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
 
 ROUNDS = 20  # maximum number of iterations of the class weights
 TOLERANCE = 1e-4  # relative change of the class standard deviations at convergence; they are known to 1 % at best
-EXACT = 1e-12  # residuals below this fraction of the measurements are rounding
+EXACT = 1e-12  # residuals below this fraction of the measurements are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,8 +298,8 @@ class LinearProblem:
         high = np.full(p, np.inf) if upper is None else numbers(upper, "upper bounds", ShapeError)
         if low.shape != (p,) or high.shape != (p,) or not np.all(low < high):
             raise ShapeError(
-                f"Expected {p} lower bounds, each below the corresponding one "
-                f"of {p} upper bounds, got shapes {low.shape} and {high.shape}. "
+                f"Expected {p} lower bounds below the {p} corresponding upper bounds, got shapes {low.shape} and "
+                f"{high.shape}. "
                 "Use -inf and inf where there is no bound."
             )
         return cls(tuple(names), what, low, high, prior, max_condition)
@@ -357,12 +356,12 @@ class LinearSolution:
 
 
 MANY = 30.0  # degrees of freedom above which classes are pooled
-POINTS, GOLDEN = 4096, 1.32471795724  # quasi-random sequence of Roberts
+POINTS, GOLDEN = 4096, 1.32471795724  # Roberts' quasi-random sequence
 NEGLIGIBLE = 1e-6  # effective parameters below which a class is ignored
 
 
 def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
-    """Return the factor on the covariance that gives the 95 % chi-squared region a coverage of 95 %.
+    """Return the covariance scale factor for which the 95 % chi-squared region has a coverage of 95 %.
 
     The squared error is distributed as ``sum_c d_c F(d_c, nu_c)`` if class c determines d_c of the parameters and its
     noise is estimated with nu_c degrees of freedom (infinite for given noise); `d` and `nu` are (C,).
@@ -396,7 +395,7 @@ def solve(
         return _solve_once(problem, factors, groups, kept, weights)
     rows, widths = factors.rows[kept].sum(axis=0), np.array([len(R) - 1 for R in groups])
     spread = np.array([np.linalg.norm(R[:, -1]) for R in groups]) / np.sqrt(np.maximum(rows, 1))
-    alone = np.abs([R[-1, -1] for R in groups]) / np.sqrt(np.maximum(rows - widths, 1))  # residual of a fit to one class
+    alone = np.abs([R[-1, -1] for R in groups]) / np.sqrt(np.maximum(rows - widths, 1))  # residual of a separate fit
     weights = _inverse(np.where(rows > 2 * widths, alone, spread), spread)
     for _ in range(ROUNDS):
         solution = _solve_once(problem, factors, groups, kept, weights)

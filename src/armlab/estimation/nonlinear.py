@@ -1,4 +1,4 @@
-"""Maximum-likelihood estimation on manifolds with unknown noise and outliers; solver of all calibration fits.
+"""Maximum-likelihood estimation on manifolds with unknown noise and outliers; used by all calibration fits.
 
 The unknown noise of each measurement class c is estimated iteratively, in whitened quantities:
 
@@ -206,8 +206,8 @@ ROUNDING = 1e-13  # relative rounding error of the cost
 IDLE, PATIENCE = 1e-3, 5  # rounding floor: step in standard deviations, and number of steps without progress
 EXACT = 1e-3  # RMS of the whitened residuals below which all steps are rounding errors
 MAX_DAMPING = 1e15
-ROUNDED = 1e-9  # RMS of residuals in SI units below which they are rounding, not noise
-WELL_CONDITIONED = 1e7  # condition number of a triangle below which its inverse is accurate
+ROUNDED = 1e-9  # RMS of residuals in SI units below which they are rounding errors, not noise
+WELL_CONDITIONED = 1e7  # condition number of a triangular factor below which its inverse is accurate
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which a direction is unobservable
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
 
@@ -266,7 +266,7 @@ def descend(
 ) -> Descent[Value]:
     """Minimise the whitened cost by damped Gauss-Newton steps (Madsen, Nielsen and Tingleff 2004, algorithm 3.16).
 
-    The covariance stays fixed during a step, which makes the actual and the predicted cost decrease comparable. The
+    The covariance stays fixed during a step, so that the actual and predicted decreases in cost are comparable. The
     descent has converged when the step is below 1e-9 standard deviations of the estimate, or the cost is at its
     rounding floor. Unless `strict` is set, the descent may stop earlier; the rows and the basis are then those before
     the last step.
@@ -375,7 +375,7 @@ class _Linearised:
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0)
 UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
-NARROW = 3  # number of final values of c, used alone for a near start
+NARROW = 3  # number of final values of c, the only ones used for a near start
 REWEIGHTED = 20  # iterations per c
 NEXT = 1e-2  # step in standard deviations below which c decreases
 SETTLED = 1e-6  # relative change of sigma at convergence
@@ -445,7 +445,7 @@ def nonlinear_least_squares(
     near : True if the start already fits the good samples. The loss is then narrow from the beginning, so outliers
         cannot bias the estimate.
     majority : with `robust` and unknown noise, also search near the solution for a fit to the majority of the samples.
-        Needed if a third of the samples share the same error: they bias the estimate and inflate the noise scale.
+        Needed if a third of the samples share the same error, which biases the estimate and inflates the noise scale.
 
     Raises
     ------

@@ -338,7 +338,7 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
         step = np.linalg.norm(found.R @ (found.x - x)) / (max(found.scale, 1e-300) * np.sqrt(len(x)))
         sigma = np.array([mad(np.concatenate(residuals[g])) if g in residuals else s for g, s in enumerate(used)])
         sigma = np.maximum(sigma, EXACT * start.sigma)
-    # Only the final pass factorises the blocks separately, because a triangle per block is slower.
+    # Only the final pass factorises the blocks separately, because one triangular factor per block is slower.
     found = solve(start.problem, factorise(_reweighted(rows, x, used, {}, []), len(x)), 1.0 / used)
     scaled = np.concatenate([np.concatenate(r) / used[g] for g, r in residuals.items()])
     return _finish(start, found, scaled, used, np.concatenate(weights), rounds, bool(step <= HUBER_STEP))

@@ -1,4 +1,4 @@
-"""Triangular factors of a linear problem, computed row by row with memory O(p^2) per time block.
+"""Triangular factors of a linear problem, computed row by row with O(p^2) memory per time block.
 
 For the rows ``[A y]`` of one measurement class in one time block, only the triangle R of ``[A y] = Q R`` is stored.
 This triangle satisfies ``||A x - y|| = ||R [x; -1]||`` for every x. Theory: docs/theory/estimation.md.

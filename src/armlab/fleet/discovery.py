@@ -27,7 +27,7 @@ class FleetRobot(NamedTuple):
     rate : received rows per second [Hz].
     loss : number of missing rows, from gaps in the robot's ticks.
     damaged : number of rows with an invalid checksum; they count as lost once a later row arrives.
-    age : age of the newest row, from the clocks of both computers [s]; NaN without rows.
+    age : age of the newest row [s], computed from the clocks of both computers; NaN without rows.
     commander : name of the commanding client, or "".
     """
 

@@ -120,7 +120,7 @@ def identify(
 def _draft(
     jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress, columns: str | None
 ) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
-    """Fit the first usable logs, as many as the model needs.
+    """Fit as many of the first usable logs as the model needs.
 
     Also return the names of the fitted logs, and the reasons why the logs before and between them are unusable. Workers
     test each log before it is read in this process, so a log that crashes its reader does not crash this process.

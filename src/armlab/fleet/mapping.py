@@ -1,4 +1,4 @@
-"""`map_logs` runs one job per log on any executor, with ordered results, named failures and crash recovery.
+"""`map_logs` runs one job per log on any executor, with ordered results, failures reported by name, and crash recovery.
 
 A killed worker breaks its process pool and all jobs in it. Finished results are kept. The interrupted jobs then run one
 by one, and a job that crashes its worker again is skipped. The remaining jobs run in a new pool. Dask restarts its
@@ -29,7 +29,7 @@ _REPORT_PERIOD = 0.5  # s between progress reports while no job ends
 _SENTENCE_PERIOD = 1.0  # s between progress lines, for output to a file
 MAX_CRASHES = 2  # worker crashes before a job is skipped
 _KILLED = "Expected the worker to finish this {}, but it crashed again. Check the worker's memory use and logs."
-_KILLED_BY_DASK = "KilledWorker"  # Dask's exception after several crashes; a name, because Dask is optional
+_KILLED_BY_DASK = "KilledWorker"  # Dask's exception after several crashes, by name because Dask is optional
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class _JobRun:
         return lost
 
     def report(self) -> None:
-        """Report the progress, with one line per second."""
+        """Report the progress, updating the text once per second."""
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
         passed = time.monotonic() - self._began
         if done == total or passed - self._said >= _SENTENCE_PERIOD:
@@ -217,7 +217,8 @@ _PATIENCE = "10s"  # connection timeout of the scheduler
 
 @contextmanager
 def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None]:
-    """Yield an executor: `count` processes on this computer (None for one), or the Dask scheduler at an address."""
+    """Yield an executor: `count` processes on this computer (None if `count` is 1), or the Dask scheduler at an
+    address."""
     if count < 1:
         raise ConfigError(f"Expected at least one worker, got {count}.")
     if dask is None:

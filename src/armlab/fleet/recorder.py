@@ -48,7 +48,7 @@ class FleetRecorder:
     Attributes
     ----------
     robots : `RobotRecord` by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
-    strangers : number of messages of unknown robots.
+    strangers : number of messages from unknown robots.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class FleetRecorder:
             work(robot)
         except Exception as error:
             self._ended.add(robot.name)
-            with contextlib.suppress(OSError):  # while abandoning the file
+            with contextlib.suppress(OSError):  # raised while abandoning the file
                 robot.end(f"{type(error).__name__}: {error}")
 
     def _robot(self, where: str) -> RobotRecord | None:
@@ -170,7 +170,7 @@ class FleetRecorder:
 _WAITING = 2500  # rows waiting for their description: 10 s
 _STRANGE = 64  # number of remembered schemas of invalid rows
 _UNANSWERED = 5.0  # s after which rows without a description are abandoned
-_AGAIN = 10.0  # s between a failed file and the next attempt
+_AGAIN = 10.0  # s between a write failure and the next attempt
 _SILENT = 60.0  # s without a row after which a file is finished
 _MOST_HOLES = 10_000  # maximum number of gaps listed in a file
 

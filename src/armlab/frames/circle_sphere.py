@@ -131,7 +131,7 @@ def _refine(
     def evaluate(value: CircleOrSphere) -> list[Measurement]:
         r, J = residuals(value, p)
         if each is not None:
-            D = J[:, :, :3]  # moving a point is equivalent to moving the centre the opposite way
+            D = J[:, :, :3]  # moving a point is equivalent to moving the centre in the opposite direction
             return [Measurement(r, J, D @ each @ np.swapaxes(D, 1, 2), ("distance",) * k)]
         return [Measurement(r, J, cov, ("distance",) * k)]
 
@@ -180,7 +180,7 @@ def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndar
     z = away @ value.n
     q = away - np.outer(z, value.n)
     rho = np.maximum(np.linalg.norm(q, axis=1), 1e-300)
-    lift = away @ np.cross(value.axes, value.n).T  # displacement of a point out of the plane per tilt
+    lift = away @ np.cross(value.axes, value.n).T  # out-of-plane displacement of a point per unit tilt
     J = np.zeros((len(p), 2, 6))
     J[:, 0, :3], J[:, 1, :3] = -q / rho[:, None], -value.n
     J[:, 0, 3:5], J[:, 1, 3:5] = -(z / rho)[:, None] * lift, lift

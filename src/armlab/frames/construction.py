@@ -195,7 +195,7 @@ def intersect(first: Plane | Line, second: Plane | Line) -> Line | np.ndarray:
 
     Parameters
     ----------
-    first, second : two planes, or a plane and a line in any order.
+    first, second : two planes, or a plane and a line in either order.
 
     Returns
     -------

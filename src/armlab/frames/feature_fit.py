@@ -25,7 +25,7 @@ from armlab.frames.features import Circle, Line, Plane, Sphere
 Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 
 LIMIT = 0.2  # rad, largest accepted standard deviation of a tilt
-SIDE_DEVIATIONS = 3.0  # distance from the origin, in standard deviations, that determines a side
+SIDE_DEVIATIONS = 3.0  # minimum distance from the origin, in standard deviations, for determining the side
 
 ALL_SETS, SOME_SETS = comb(60, 3), 500  # largest number of sets for an exhaustive search; size of a random selection
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
@@ -73,8 +73,8 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return n or -n, whichever points to the side of the hint or, without a hint, away from the origin; `reach` is the
-    SD of the offset [m]."""
+    """Return n or -n, whichever points towards the side of the hint or, without a hint, away from the origin; `reach`
+    is the SD of the offset [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Omit one of these arguments.")
     if normal is not None:
@@ -86,7 +86,7 @@ def upward(
         if not abs(side) > least:
             raise NotExcited(
                 f"Expected the {what} to be far enough from the origin "
-                "to determine on which side it lies, got a distance of "
+                "to determine which of its sides faces the origin, got a distance of "
                 f"{abs(side):.2g} m with a standard deviation of {reach:.2g} m. Pass toward= (a point on the desired "
                 "side) or normal=.",
                 [f"side of the {what}"],

@@ -11,7 +11,7 @@ from armlab._numbers import number, numbers, positive, rows_text, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.lie import se3
 
-UNIT = 1e-9  # deviation of a norm from 1 that is accepted as rounding
+UNIT = 1e-9  # deviation of a norm from 1 that is accepted as rounding error
 
 
 def points(p: ArrayLike, what: str = "points") -> np.ndarray:

@@ -19,7 +19,7 @@ from armlab.errors import NotExcited
 from armlab.frames.inputs import marker_points, noise_of, sightings
 from armlab.lie import so3
 
-LINE = 1e-6  # breadth over length below which points are collinear
+LINE = 1e-6  # width-to-length ratio below which points are collinear
 MIN_POINTS = 3
 
 

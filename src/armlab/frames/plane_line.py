@@ -8,9 +8,9 @@ k, and sigma the noise of a coordinate. The errors are uncorrelated and have the
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
 If the points spread no more than the noise in a required direction, the fit raises NotExcited. If the noise differs
-between directions or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a point,
-D (k, 3) their directions and C the covariance of the point. The Jacobian then uses the lever arm of a tilt at the most
-likely point ``p - C D^T S^-1 e`` instead of p, which gives the gradient of this cost.
+between directions or points, the cost is the sum of ``e^T S^-1 e`` with ``S = D C D^T``, where e are the distances of a
+point, D (k, 3) their directions and C the covariance of the point. The Jacobian then uses the lever arm of a tilt at
+the most likely point ``p - C D^T S^-1 e`` instead of p, which gives the gradient of this cost.
 """
 
 from __future__ import annotations

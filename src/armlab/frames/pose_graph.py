@@ -27,7 +27,7 @@ P_VALUE = 1e-3  # p-value of a closure error below which a loop is reported
 
 Steps = list[tuple[int, int]]
 CLASSES = ("position",) * 3 + ("rotation",) * 3
-LIMIT = 0.2  # largest accepted standard deviation: angle [rad], and fraction of the size of the set of frames
+LIMIT = 0.2  # largest accepted standard deviation: angle [rad]; position, as a fraction of the extent of all frames
 PARTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn x", "rad"), ("turn y", "rad"), ("turn z", "rad"))
 
 
@@ -211,7 +211,7 @@ def check_loops(edges: Sequence[Edge]) -> LoopCheck:
 
 
 def spanning(edges: Sequence[Edge]) -> list[int]:
-    """Return the indices of the poses of a spanning forest, which prefers the earliest poses."""
+    """Return the indices of the poses of a spanning forest, preferring the earliest poses."""
     part: dict[str, str] = {}
 
     def root(name: str) -> str:

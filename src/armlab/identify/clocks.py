@@ -1,8 +1,8 @@
 """Clocks of a log: uniform time of the rows, interpolation of lost rows, and delays of columns.
 
 Controllers sample at even intervals, but networks and loggers make timestamps uneven. The row clock is a monotone fit
-of timestamp against row number: piecewise linear through the median timestamps of two-second blocks. A row is lost if
-all later timestamps are delayed by a period; if a row is merely late, later rows are not delayed.
+of timestamp against row number: piecewise linear through the median timestamps of two-second blocks. A row counts as
+lost if all later timestamps are delayed by a period; if a row is merely late, later rows are not delayed.
 
 A column with delay T lags the motion by T. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts
 of the column, with R_i the residual power of the regression for joint i. The weight w_i is the second derivative of log
@@ -20,14 +20,14 @@ from itertools import pairwise
 import numpy as np
 
 BRIDGED = 4  # consecutive lost rows that are interpolated; longer gaps end a segment
-WINDOW = 50  # number of rows within which the stamps recover from a late row
+WINDOW = 50  # number of rows within which the timestamps recover from a late row
 CAUGHT_UP = 0.25  # periods: jitter of the earliest row in the window
 BLOCK = 2.0  # s, length of the blocks for the medians
 JITTER = 0.01  # fraction of the period below which jitter is timestamp rounding
-EARLIEST, LATEST = -0.06, 0.32  # s, range of the searched delays
+EARLIEST, LATEST = -0.06, 0.32  # s, range of the delay search
 STEP = 0.004  # s, spacing of the shifts in the coarse search
 LEAST, SURE = 0.5, 4.0  # minimum delay that is corrected, in periods and in standard deviations
-DOUBT, SAMPLED = 1e-3, 0.2  # s, and periods; the longer is the uncertainty due to unmodelled friction lag
+DOUBT, SAMPLED = 1e-3, 0.2  # s, periods; uncertainty due to unmodelled friction lag, whichever is longer
 FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, length of the blocks whose scatter gives its variance
 EXACT = 1e-6  # power fraction attributed to rounding
 VAGUE = 0.01  # s; standard deviation above which a delay is undetermined

@@ -139,7 +139,7 @@ def physically_consistent(
     distance = float(np.linalg.norm(root @ (values - target)))
     squares = float(np.sum((fit.residuals / fit.sigma) ** 2))
     growth = float(np.sqrt(1.0 + distance**2 / squares) - 1.0)
-    constant = base.D @ np.concatenate([links.ravel(), rotor])  # torque of the links that the fit assigns to the offset
+    constant = base.D @ np.concatenate([links.ravel(), rotor])  # link torque that the fit attributes to the offset
     friction = replace(model.friction, offset=model.friction.offset - constant)
     better = replace(model, link_parameters=links, rotor=rotor, base_values=values, friction=friction)
     return PhysicallyConsistent(better, links, rotor, growth, distance)

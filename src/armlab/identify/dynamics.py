@@ -10,8 +10,9 @@ Five stages, in this order:
    and after stage 3.
 3. Friction structure: for each joint, the type and width of the sign function of friction, the Stribeck speed and the
    friction terms are selected on held-out blocks with the rigid-body parameters fixed (`identify.friction_structure`).
-4. Solution: all linear parameters are fitted by least squares within physical bounds, with joints weighted by 1 / their
-   residual standard deviation. The covariance comes from a block bootstrap, because the formal covariance is far too
+4. Solution: all linear parameters are fitted by least squares within physical bounds, with joints weighted by the
+inverse of their residual standard deviation. The covariance comes from a block bootstrap, because the formal covariance
+is far too
    small for coloured residuals. Friction drift and the uncertainty of the friction structure are added
    (`identify.solve`).
 5. Validation: models fitted without a fifth of the blocks provide held-out residuals, which pass through the
@@ -124,7 +125,7 @@ def fit_dynamics(
     -------
     Fit of TorqueModel
         Parameters: the base parameters, then per joint viscous and Coulomb friction (one number, or one per direction),
-        offset, and if selected stribeck, root, load and two ripple amplitudes. Rotor inertia and viscous, Coulomb and
+        offset, and, if selected, stribeck, root, load and two ripple amplitudes. Rotor inertia and viscous, Coulomb and
         load friction are non-negative.
 
     Raises
@@ -399,7 +400,7 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     return FitProblem(design, gain_cov, sums, block, length, theta, band, doubts)
 
 
-LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods in a joint's range, more than gravity torques have
+LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods in a joint's range, to exclude gravity torques
 HIGHEST_SLIDING = 3000.0  # rad/m
 WORTH = 0.1  # minimum share of the residual power that a line must explain
 AT_MOST = 20_000  # maximum samples per search

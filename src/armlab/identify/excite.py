@@ -3,7 +3,7 @@
     q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
 
 (Swevers et al. 1997). A quintic window blends the motion in and out, so that the motion starts and ends at rest. Seeded
-candidates are scaled to the limits. The candidate whose base regressor has the largest log determinant of the
+random candidates are scaled to the limits. The candidate whose base regressor has the largest log determinant of the
 information matrix is selected (D-optimality, which is independent of the parameter units). Candidates that collide or
 exceed the motor torques are discarded; candidates with too little slow motion or too few reversals to identify friction
 are ranked last.
@@ -89,7 +89,7 @@ class Trajectory(Shown):
         if np.abs(qd[[0, -1]]).max() > REST:
             raise ShapeError(
                 f"Expected a motion at rest at both ends, got {np.abs(qd[[0, -1]]).max():.3g} rad/s. "
-                "Blend the motion in and out, because a robot cannot start at speed."
+                "Blend the motion in and out, because a robot cannot start at non-zero speed."
             )
         spline = CubicHermiteSpline(t, q, qd)
         first, second, begin, end = spline.derivative(), spline.derivative(2), t[0], t[-1]
@@ -215,7 +215,7 @@ def design_excitation(
     centre : (n,) centre of the motion, inside the limits; it is moved to at least 0.1 rad from the limits. Default: the
         robot's home, moved away from the limits until every joint has 70 degrees on both sides (or half its range, if
         that is smaller).
-    seed : seed of the candidates.
+    seed : seed of the random candidates.
     sigma : (n,) standard deviation of the torque noise [N m], which weights the joints; default: equal.
     collides : collision check of a posture (n,), called ten times per second along each candidate.
     rounds : steps of a search around the best candidate, which take 5 ms each; 300 steps reduce the predicted standard
@@ -346,8 +346,8 @@ def dither(
 
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:
-    """Return a centre (n,) moved to at least two margins from the limits; raise an error if the given centre is outside
-    the limits."""
+    """Return a centre (n,) moved to at least two margins inside the limits; raise an error if the given centre is
+    outside the limits."""
     given = np.array(numbers(centre, "the centre", ShapeError))
     if given.shape != (robot.n,) or not np.all((given >= robot.q_min) & (given <= robot.q_max)):
         raise ShapeError(

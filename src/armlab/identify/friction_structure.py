@@ -82,7 +82,7 @@ FOLDS = 4
 GAIN = 0.01  # minimum relative reduction of the squared held-out error for keeping a term
 DEFAULT_SPEED = 2  # index in STRIBECK_SPEEDS for joints without a Stribeck term
 IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term may depend on a single event
-EXACT = 1e-12  # squared error relative to the torque, below which the error is rounding
+EXACT = 1e-12  # squared error, relative to the torque, below which it counts as rounding error
 # All columns of a joint, in order: terms of FRICTION_TERMS, then ripple with known gears.
 FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "load")
 COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
@@ -303,7 +303,7 @@ def _refine(
             score = float(search.scores(_columns(motion, trial), trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
                 best, structure = score, trial
-                break  # the opposite step leads back
+                break  # the opposite step would undo this one
     return structure
 
 

@@ -156,7 +156,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
     block = _block(data, pattern.blocks)[design.rows]
     factors = factorise(design.stream(block, np.sqrt(weights)), len(pattern.x))
     return LogSums(
-        # The same memory layout as arrays from a worker or a file, so sums are added in the same order.
+        # Use the same memory layout as arrays from a worker or a file, so that sums are added in the same order.
         factors=replace(factors, R=tuple(map(np.ascontiguousarray, factors.R))),
         weight=float(weights.sum()),
         inside=int(np.count_nonzero(away <= pattern.limit)),

@@ -148,7 +148,7 @@ def _rigid(
     return total
 
 
-EXPLAINED, CHANGED = 0.5, 3.0  # residual fraction to explain; largest ratio to the held-out residual without a load
+EXPLAINED, CHANGED = 0.5, 3.0  # minimum explained fraction; largest ratio to the held-out residual without a load
 EVERY = 4  # decimation; the filter's cut-off is at a tenth of the rate
 APART = 0.02  # RMS position difference [rad or m] above which two records are different motions
 
@@ -362,7 +362,8 @@ def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, sec
 
 
 def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
-    """Return the largest accepted standard deviations (10,): loads that double the largest torque in the log."""
+    """Return the largest accepted standard deviations (10,), equal to loads that double the largest torque in the
+    log."""
     torque, gravity = np.sqrt(np.mean(record.data.tau[:, record.joints] ** 2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])

@@ -19,9 +19,9 @@ from armlab.identify.solve import GAIN_SD, GainProblem, as_read, solved
 from armlab.log.units_check import GEARED, gears
 from armlab.robots import Robot
 
-DOUBTED, REFUSED = 1.3, 3.0  # ratios of measured to expected torque: for a doubt, for an error
-SURE, CERTAIN = 3.0, 5.0  # standard deviations required for a factor and for a sign
-KNOWN = 0.15  # largest relative SD of a known factor
+DOUBTED, REFUSED = 1.3, 3.0  # ratios of measured to expected torque that raise a doubt and an error
+SURE, CERTAIN = 3.0, 5.0  # significance, in standard deviations, required to report a factor and a sign
+KNOWN = 0.15  # largest relative SD at which a factor counts as known
 SMALL = 0.01  # fraction of the torque below which friction does not determine the sign
 LOOSE, ROUNDS = 1.0, 4  # prior SD of almost free gains; iterations of the joint weights
 SUSPECT = 1.5  # prior SDs above which the gains are checked with a loose prior

@@ -26,7 +26,7 @@ from armlab.signals import central_diff, lowpass_offline
 
 BESIDE = 0.02  # tolerance relative to the trained position range
 RARE = 0.005  # share of training data below which a speed bin is untrained
-ALLOWED = 0.05  # largest share of samples outside without a warning
+ALLOWED = 0.05  # share of samples outside the trained ranges above which a warning is issued
 MORE, LONGER = 3.0, 2.0  # ratios of the share and duration of standstill to those of the training data
 
 
@@ -79,7 +79,7 @@ class Extrapolation(Shown):
 def extrapolation(model: TorqueModel | Fit[TorqueModel], table: Table) -> Extrapolation:
     """Compare a log with the training data of `model`.
 
-    Warns about joints with more than 5 % of the samples outside the trained positions or speeds. Also warns if,
+    Warn about joints with more than 5 % of the samples outside the trained positions or speeds. Also warn if,
     compared with the training data, the fraction of time at rest is more than three times as large and the longest rest
     more than twice as long.
 

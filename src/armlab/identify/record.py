@@ -45,7 +45,7 @@ MIN_SECONDS, MIN_BLOCKS = 5.0, 8
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: minimum range of a moving joint
 MIN_SEGMENT = 100  # samples; shorter segments between gaps are dropped
 BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
-ORDER = 4  # order of the low-pass, which is run forward and backward
+ORDER = 4  # order of the low-pass filter, which is run forward and backward
 KEPT, MARGIN = 0.99, 10.0  # share of motion power, and ratio of the velocity cut-off to the frequency of that share
 
 
@@ -155,7 +155,7 @@ def resting(q: np.ndarray, prismatic: np.ndarray) -> np.ndarray:
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
-    """Combine logs into a record; joints in `moving` (n,) must move, joints in `used` (n,) need a valid torque."""
+    """Combine logs into a record; joints in `moving` (n,) must move, and joints in `used` (n,) need a valid torque."""
     prepared = _joined(tables, robot)
     check_position(prepared.q, robot)
     moved = ~resting(prepared.q, robot.prismatic)
@@ -168,7 +168,7 @@ def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.nda
     torques = used & (moving | moved)
     if robot.inertias is None:
         check_torque(prepared.q, prepared.tau, torques, robot)
-    else:  # `identify.plausibility` compares with the masses
+    else:  # `identify.plausibility` compares the torques with the masses
         check_constant(prepared.tau, torques, robot)
     return torque_on_time(prepared, robot, used & moved & turned)
 

@@ -71,7 +71,7 @@ def load_torque(model: TorqueModel, data: Record) -> np.ndarray:
 
 # Thermal state of the drives of a model along a record, per second (law: models.friction.WarmUp).
 #
-# The thermal state is constant within a second, so only sums per second are stored for a record.
+# The thermal state is constant within each second, so only per-second sums of a record are stored.
 
 
 BIN = 1.0  # s, duration of a bin
@@ -80,7 +80,7 @@ FEWEST_SECONDS = 20  # rows needed in a second to determine its power
 
 
 def thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
-    """Return the thermal state (M, n) at rows (M,) of a record; every log begins in the start state stored in the
+    """Return the thermal state (M, n) at rows (M,) of a record; every log begins in the initial state stored in the
     model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:

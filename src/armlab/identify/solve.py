@@ -1,4 +1,4 @@
-"""Alternation between the linear parameters and the friction structure until convergence.
+"""Alternating estimation of the linear parameters and the friction structure until convergence.
 
 The structure comes from a grid search on held-out blocks. Its nonlinear parameters are then refined by Gauss-Newton
 steps on all rows:
@@ -148,9 +148,9 @@ def alternate(
     use: np.ndarray | None = None,
     again: bool = False,
 ) -> tuple[Design, np.ndarray, np.ndarray]:
-    """Alternate between the linear parameters and the friction structure until convergence.
+    """Estimate the linear parameters and the friction structure alternately until convergence.
 
-    Return the design, its parameters (p,) and the weights (M, J) of the rows, the arguments of `refined`.
+    Return the design, its parameters (p,) and the weights (M, J) of the rows, for use as arguments of `refined`.
 
     Undetermined directions are accepted at this stage and checked in the final fit. `use`: (M,) kept rows used in the
     fit. `again`: whether the structure has been selected before.
@@ -266,7 +266,7 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
 
 
 # Torque gains: the torque scale of a joint may be wrong by several percent, ``g_i ~ N(1, 0.1^2)``. The common scale
-# factor of all gains is not identifiable from the arm alone, and follows the prior.
+# factor of all gains is not identifiable from the arm alone, so it is determined by the prior.
 
 
 GAIN_SD = 0.1
@@ -340,7 +340,7 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
 DRIFTS = ("friction", "offset")  # scale of all friction of a joint; constant torque
 AHEAD = np.array([4.0, 2.0])  # ratio of variances between logs and between halves: for a trend, for a random walk
 POOLING = 30  # iterations of the pooled variance
-RIDGE = 1e-6  # relative to a column's power, in case half of the log does not determine a drift
+RIDGE = 1e-6  # ridge relative to a column's power, in case half of the log does not determine a drift
 
 
 def covariance(

@@ -27,7 +27,7 @@ SETTLED = 0.01  # variance of the presliding state below which friction is known
 NOTHING = 1e-18  # (N m)^2
 ALPHA2_BOUNDS = (0.25, 25.0)
 REST = 0.01  # fraction of the peak speed; the arm is at rest if all joints are slower
-HALF = 1.0  # s, segments of the two halves for the coverage
+HALF = 1.0  # s, length of the segments that form the two halves for the coverage
 UNMEASURED = 1e12  # (N m)^2, variance of an unmeasured torque
 FEWEST = 100  # minimum number of sliding rows in each half
 FAST = 0.1  # rad/s: above this speed, the friction bound covers the model error in motion
@@ -81,10 +81,10 @@ def assess(
     """Return the model with its torque covariance and quality figures.
 
     The torque variance `drift` (J,) due to friction changes between logs is added to the covariance; this error is
-    constant within a log, so no filter averages it. Covariance and scale are fitted to one half of the segments and
-    validated on the other half, in both directions. The model stores the values fitted to all segments. Joints without
-    measured torque have no quality figures, and are assigned a standard deviation so large that estimators ignore them.
-    If an earlier model `before` is given, joints at rest keep the quality figures of that model.
+    constant within a log, so filtering does not reduce it. Covariance and scale are fitted to one half of the segments
+    and validated on the other half, in both directions. The model stores the values fitted to all segments. Joints
+    without measured torque have no quality figures, and are assigned a standard deviation so large that estimators
+    ignore them. If an earlier model `before` is given, joints at rest keep the quality figures of that model.
 
     The estimator adds the part of the torque variance due to parameter uncertainty that exceeds the mean over this
     record. Held-out errors already contain this part of the variance. The covariance is therefore fitted to errors
@@ -159,7 +159,7 @@ def _of_parameters(model: TorqueModel, data: Record, moving: np.ndarray) -> tupl
 
 
 def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> TorqueModel:
-    """Return a model whose joints at rest (n,) keep friction, ripple, quality and ranges of an earlier model."""
+    """Return a model whose joints at rest (n,) keep the friction, ripple, quality and ranges of an earlier model."""
     scale = before.covariance.alpha2 / model.covariance.alpha2
 
     def mixed(name: str, *but: str, scaled: float = 1.0) -> Any:
@@ -206,8 +206,8 @@ def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
         spread = [f"{rows[i]} rows" for i in few]
         listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
         raise NotExcited(
-            f"Expected every joint to slide beyond its presliding distance in at least {2 * FEWEST} rows, evenly over "
-            f"the log, got fewer rows for {listed}, so errors in "
+            f"Expected every joint to slide beyond its presliding distance in at least {2 * FEWEST} rows, spread "
+            f"evenly over the log, got fewer rows for {listed}, so errors in "
             "motion cannot be assessed. Let these joints move further "
             "between reversals.",
             names,
@@ -286,8 +286,8 @@ def rests(
 
 
 # Maximum-likelihood torque covariance over velocity, per joint, for residuals filtered as in the estimator. The ratio
-# and the rate have the information of a uniform prior over their bounds, so undetermined values are uncertain rather
-# than exact.
+# and the rate are given the information of a uniform prior over their bounds, so undetermined values are uncertain
+# rather than exact.
 
 
 STARTS = (5.0, 30.0, 150.0)  # s/rad, initial decay rates
@@ -400,7 +400,7 @@ def _misplaced(ratio: float) -> float:
 
     The variance is ``1 + 6.5 / (L1 L2)``, where L1 and L2 are the expected losses of log likelihood per sample on the
     wrong side of the threshold. For small losses, this formula is the asymptotic law of a change-point estimate; for
-    large losses, it gives one sample.
+    large losses, it tends to one sample.
     """
     log = np.log(ratio)
     losses = 0.25 * (ratio - 1.0 - log) * (1.0 / ratio - 1.0 + log)

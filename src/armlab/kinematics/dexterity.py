@@ -137,7 +137,7 @@ def ellipsoid(
     """Return the velocity or force ellipsoid of the tool, in base axes.
 
     ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the selected part.
-    The two ellipsoids share their axes and have reciprocal lengths, so directions of high speed have low force.
+    The two ellipsoids share their axes and have reciprocal lengths, so the force is low in directions of high speed.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class SelfMotion(Shown):
     position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
     rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. For the task "axis", rotation of the
         z axis only; for "position", 0.
-    end : reason for the end: "length" (full length reached), "limit of joint k", "optimum" or "singular".
+    end : reason why the motion ended: "length" (full length reached), "limit of joint k", "optimum" or "singular".
     """
 
     q: np.ndarray

@@ -15,7 +15,7 @@ from armlab.robots import Robot
 REASONS = ("solved", "out of reach", "limits", "singular", "iterations", "bound")
 _TEXTS = np.array(REASONS)
 _EXPLANATIONS = {
-    "out of reach": "no initial guess reduced the error further, with or without the limits of revolute joints",
+    "out of reach": "no initial guess led to a smaller error, with or without the limits of revolute joints",
     "limits": "only postures outside the joint limits reach the goal",
     "singular": "the only start ended at a singular posture, where no joint motion reduces the error",
     "iterations": "the error was still falling at the iteration limit",
@@ -74,7 +74,7 @@ def inverse(
     posture : (n,) or (..., n) target of the objective "posture"; default: `q0`, or the home posture without `q0`.
     tol : position tolerance [m] and rotation tolerance [rad]; one number for both, or a pair.
     maxiter : maximum number of iterations per start, 0 to 1 000 000; if all starts fail, the best start continues for
-        as many iterations again.
+        the same number of additional iterations.
     starts : maximum number of starts; 1: only `q0`.
     damping : lambda divided by the squared error (ikinePOE's lambda); multiplied by 8 after a failed step.
     seed : seed of the random postures; results are reproducible, and identical for batches and single goals.

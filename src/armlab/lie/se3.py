@@ -88,7 +88,7 @@ def exp(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the twist [v; w] (..., 6) of a pose with the smallest rotation: ``exp(log(T)) = T``, abs(w) ≤ π.
+    """Return the minimum-rotation twist [v; w] (..., 6) of a pose: ``exp(log(T)) = T``, abs(w) ≤ π.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | No
 def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
     """Return whether each matrix is a pose: (...) bool, False for NaN and infinity.
 
-    A pose has a rotation, a finite position and the last row (0, 0, 0, 1).
+    A pose consists of a rotation, a finite position and the last row (0, 0, 0, 1).
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> n
     Parameters
     ----------
     T : (..., 4, 4) poses.
-    tolerance : largest entry of ``abs(RᵀR - I)`` that counts as rounding.
+    tolerance : largest entry of ``abs(RᵀR - I)`` that counts as rounding error.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def interpolate(
     """Interpolate from a to b at constant speed, with the position along a line and the rotation about a fixed axis.
 
     The poses (..., 4, 4) are exact at both ends. The alternative screw path ``T_a exp(s log(T_a⁻¹ T_b))`` does not
-    depend on the choice of reference point on the body; the point moves along a helix.
+    depend on the choice of reference point on the body; each point moves along a helix.
 
     Parameters
     ----------

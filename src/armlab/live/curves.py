@@ -1,4 +1,4 @@
-"""Curves and text of an arm in the panel, for the last seconds of a stream or a whole run with a cursor."""
+"""Curves and text of an arm in the panel, for the last few seconds of a stream or a whole run with a cursor."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
 
 
 class Window:
-    """Plot of the last few seconds of a stream. `rate`: maximum updates per second of stream time."""
+    """Plot of the last few seconds of a stream. `rate`: maximum number of updates per second of stream time."""
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MOST = 1000  # maximum number of robots
 _INBOX = 20_000  # queued messages: ten seconds from fifty robots; the oldest messages are dropped first
 _SILENT = 2.0  # s of listening time without a row, after which a robot counts as silent
-_LATE = 0.1  # s; if a wait overruns by more, the process may have been suspended: this does not count as listening time
+_LATE = 0.1  # s; a wait that overruns by more does not count as listening time: the process may have been suspended
 
 
 class SeenRobot:
@@ -105,7 +105,7 @@ class SeenRobot:
 
     @property
     def age(self) -> float:
-        """Age of the newest row [s], from the clocks of both computers; NaN without rows."""
+        """Age of the newest row [s], computed from the clocks of both computers; NaN without rows."""
         return math.nan if self.row is None else 1e-9 * (time.time_ns() - self.row.wall_ns)
 
     @property

@@ -304,7 +304,7 @@ def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int)
 _WINDOW = 10.0  # s, length of the curves and paths shown
 _FRAMES, _CURVES = 30.0, 10.0  # updates per second of the arms and of the panel
 _SPEEDS = (0.1, 4.0)  # range of the playback speed
-_ARM_COLORS = (BLUE, ORANGE)  # for the plot of the whole run
+_ARM_COLORS = (BLUE, ORANGE)  # arm colours in the plot of the whole run
 
 
 class Player:
@@ -385,7 +385,7 @@ class Player:
         ------
         ShapeError : t is not finite.
         """
-        t = number(t, "time to go to [s]")
+        t = number(t, "playback time t [s]")
         if not math.isfinite(t):
             raise ShapeError(f"Expected a finite playback time, got {t}. Pass a time from 0 to {self.duration:g} s.")
         with self._lock:

@@ -133,7 +133,7 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | No
         collada = any(file.lower().endswith(".dae") for file in missing) and find_spec("collada") is None
         advice += " A .dae file requires pycollada: pip install 'armlab[live]'." if collada else ""
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        said = f"Expected the meshes of {robot.name}, but cannot read {', '.join(missing[:5])}{more}"
+        said = f"Expected readable meshes of {robot.name}, but cannot read {', '.join(missing[:5])}{more}"
         warnings.warn(f"{said}: capsules are drawn instead.{advice}", stacklevel=2)
     return shapes or [None] * (robot.n + 1)
 
@@ -155,7 +155,7 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
             try:
                 read = trimesh.load_mesh(path)
                 return read.apply_scale(mesh.scale).apply_transform(mesh.T_link_mesh) if len(read.faces) else None
-            except Exception:  # mesh readers have different exception types
+            except Exception:  # mesh readers raise different exception types
                 return None
     return None
 
@@ -226,7 +226,7 @@ def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> boo
 
 def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Return the quaternion (wxyz) of the smallest rotation from the z axis to a unit vector."""
-    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # an equal expression, accurate near -z
+    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # equivalent expression that is accurate near -z
     size = math.hypot(w, x, y)
     return (w / size, -y / size, x / size, 0.0) if size else (0.0, 1.0, 0.0, 0.0)
 
@@ -234,7 +234,7 @@ def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
 ARROW = 0.2 / 20.0
 """Default arrow length per unit force [m/N]."""
 LINK_COLORS = ("#8FB4D9", "#E2BE8C")
-"""Colours of the links of the first, second, ... arm."""
+"""Link colours of the first arm, the second arm, and so on."""
 TOOL_COLOR = "#C800C8"
 """Colour reserved for the tool point."""
 
@@ -243,7 +243,8 @@ _MOST_POINTS = 300  # maximum number of points drawn per path
 
 
 class RobotScene:
-    """Arms in a common world, drawn by `show`. All other nodes of viser's ``server.scene`` are free for other use.
+    """Arms in a common world, drawn by `show`. All other nodes of viser's ``server.scene`` are available for other
+    purposes.
 
     Links are capsules in the colour of their arm, joints are cylinders in the colour of their curves, and the tool
     point is a sphere with axes. The arrow is the force exerted by the environment on the robot; the ellipsoid at its
@@ -251,7 +252,7 @@ class RobotScene:
 
     `T_world_base`: pose (4, 4) of each arm's base in the world, keyed by arm name; default: the identity. The mount is
     part of the robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of force arrows
-    [m/N], which takes effect at the next `show`.
+    [m/N]; a change takes effect at the next `show`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Server of a browser view, which is silent on the console and accessible only from this computer."""
+"""Server of a browser view: prints nothing to the console, and is accessible only from this computer."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
             f"Expected port {port} to be free for the view, but it is in use. Choose another port with --port."
         )
     _refuse_other_sites(server)
-    server.request_share_url = _refused  # because a page can also request the link
+    server.request_share_url = _refused  # because a web page can also request a share link
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(_WIDTH)

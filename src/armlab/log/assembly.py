@@ -28,7 +28,7 @@ def recording_table(
         values = {name: array[keep] for name, array in values.items()}
         t, stamp_ns = t[keep], stamp_ns[keep]
     present = {name: array for name, array in values.items() if name != "t" and not _absent(array, columns[name])}
-    present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
+    present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q, qd, tau, then counters
     described = {name: replace(columns[name], shape=()) for name in present}
     for name, array in present.items():
         if not _fits(array, described[name].kind):  # an invalid value must not make the recording unreadable
@@ -83,7 +83,7 @@ def wall_at_zero(t: np.ndarray, stamp_ns: np.ndarray) -> int:
 
 
 def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the mask (N,) of rows later than all previous rows, and the number of remaining rows."""
+    """Return the mask (N,) of rows later than all previous rows, and the number of rows excluded by the mask."""
     finite = np.where(np.isfinite(t), t, -np.inf)
     before = np.concatenate(([-np.inf], np.maximum.accumulate(finite)[:-1]))[: len(t)]
     keep = finite > before

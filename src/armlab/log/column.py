@@ -158,7 +158,7 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
 
 
-_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes that are always allowed; otherwise, maximum cells per value
+_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes that are always allowed; maximum cells per value above that
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:

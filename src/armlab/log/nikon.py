@@ -63,7 +63,7 @@ class PlaneFile:
 
     Attributes
     ----------
-    normal : (3,) normal of length 1, or as in the file if read with `raw`.
+    normal : (3,) unit normal, or the normal as in the file if read with `raw`.
     point : (3,) point on the plane [m].
     stopped, comments : as in `Cloud`.
     """
@@ -190,7 +190,8 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
 
 
 def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, str]]:
-    """Return the rows of numbers, the line that ended them (0 at the end of the file), and the comments after them."""
+    """Return the rows of numbers, the number of the line that ended them (0 if none did), and the comments after
+    them."""
     try:
         with path.open("rb") as file:
             data = file.read(LONGEST + 1)

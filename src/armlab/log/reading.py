@@ -34,7 +34,7 @@ _READERS: dict[str, Callable[..., Table]] = {
     "LabComm": lambda path, raw, names: renamed(path, read_labcomm(path, raw=raw), names),
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # from `write`, so in order
+    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # in order, as `write` is the writer
 }
 _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # can read individual columns
 
@@ -88,7 +88,8 @@ def read(
         them.
     MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a column, topic, preset or robot does not exist; the message lists the available names.
-    ConfigError : clock= for a log with one clock, robot= for a file without robot names, or invalid columns=.
+    ConfigError : clock= is given for a log with one clock, robot= for a file without robot names, or columns= is
+        invalid.
     """
     names = ColumnNames.of(columns) if isinstance(columns, str | Mapping) else None
     wanted = None if columns is None or isinstance(columns, str | Mapping) else columns
@@ -193,11 +194,11 @@ def read_arm(
 
     Parameters
     ----------
-    path : log, see `read`.
+    path : log; see `read`.
     robot : the recorded arm.
-    progress : called with (done, total, what), see `read`.
+    progress : called with (done, total, what); see `read`.
     force : accept a recording made with another description of the arm (tool, mount, limits), with a warning.
-    columns : column names in the file, as a string or a mapping, see `read`.
+    columns : column names in the file, as a string or a mapping; see `read`.
     needed : required columns.
 
     Raises

@@ -27,7 +27,7 @@ TAU_SOURCES = ("none", "measured", "reference")
 
 # Optional fields of `State` in a table.
 _ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
-_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row contains its own reply, a State the previous reply
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row contains its own reply, but a State contains the previous reply
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
@@ -398,7 +398,7 @@ class Table:
         return replace(self, values=values, columns=columns, source=source)
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame indexed by t [s], with a column per component (q1, q2, ...); units in
+        """Return a pandas DataFrame indexed by t [s], with a column per component (q1, q2, ...); units are in
         ``attrs["units"]``.
 
         Raises
@@ -432,7 +432,7 @@ class Table:
         return pa.Table.from_arrays([array for *_, array in parts], schema=pa.schema(fields))
 
     def to_xarray(self) -> Any:
-        """Return an xarray Dataset over the coordinate t [s]; columns keep their shape, with attributes unit and frame.
+        """Return an xarray Dataset with the coordinate t [s]; columns keep their shape, with attributes unit and frame.
 
         The dimensions of a row are named after its column; joint names become coordinates.
 
@@ -477,7 +477,7 @@ class Table:
         return {name: (len(rows), tuple(int(row) for row in rows[:10])) for name, rows in holes.items() if len(rows)}
 
     def describe(self) -> str:
-        """Return minimum, maximum, mean and standard deviation of each component as a text table."""
+        """Return the minimum, maximum, mean and standard deviation of each component as a text table."""
         lines: list[tuple[str, ...]] = [("component", "unit", "min", "max", "mean", "sigma", "missing")]
         for name in self.names:
             stats = statistics(self[name])
@@ -544,7 +544,7 @@ def _bytes(array: np.ndarray) -> bytes | memoryview:
 
 _HELD = ("count", "flag", "text")
 _MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # if both are exceeded, the rate or the unit of t is wrong
-_SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the rate
+_SLOWER = 1.05  # ratio of periods above which resampling counts as downsampling
 
 
 def concat(*tables: Table) -> Table:

@@ -1,4 +1,4 @@
-"""Checks for wrong units and motor-side values, whose error messages state the likely factor."""
+"""Checks for wrong units and motor-side values; the error messages state the likely factor."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
         for i in far
     ]
     raise ShapeError(
-        f"Expected q in rad (m) on the joint side, inside the limits of {robot.name!r}, got {', '.join(words)}. "
+        f"Expected q in rad (m) on the joint side, within the limits of {robot.name!r}, got {', '.join(words)}. "
         "Convert q."
     )
 
@@ -78,7 +78,7 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
     for i in wrong:
         other = int(np.argmax(alike[i]))
         if other != i and alike[i, other] > CORRELATION > correlation[i]:
-            what = f"the column of {robot.joint_names[other]} fits: wrong joint order"
+            what = f"the column of {robot.joint_names[other]} matches: wrong joint order"
         else:
             what = _meaning(float(gain[i]), float(correlation[i]), gear[i])
         words.append(f"{robot.joint_names[i]} ({gain[i]:.3g} times: {what})")
@@ -123,7 +123,8 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
         else "Multiply the torque by the gear ratio, and add the coupling to the robot description."
     )
     raise ShapeError(
-        f"Expected torque on the joint side in N m, got likely motor torques for {listed}: {evidence}. {advice}"
+        f"Expected torque on the joint side in N m, got what appear to be motor torques for {listed}: {evidence}. "
+        f"{advice}"
     )
 
 
@@ -139,7 +140,7 @@ def check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
         ]
         listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
         raise NotExcited(
-            f"Expected measured torques, got a constant for {listed}. Check that the robot sends torques.",
+            f"Expected measured torques, got constant values for {listed}. Check that the robot sends torques.",
             names,
             spread,
         )

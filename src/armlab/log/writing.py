@@ -131,7 +131,8 @@ def _remove(path: Path) -> None:
 
 
 def _check_text(table: Table) -> None:
-    """Reject text that files cannot store: NUL ends strings in HDF5 and ROS; lone surrogates are invalid Unicode."""
+    """Reject text that files cannot store: NUL terminates strings in HDF5 and ROS; lone surrogates are invalid
+    Unicode."""
     for name in table.names:
         if table[name].dtype.kind != "U":
             continue
@@ -179,7 +180,7 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
     file = RecordingFile(part, robot, layout, {}, "; ".join(table.source), (table.t0_ns, table.clock))
     try:
         for done in range(0, len(block), _TOLD):
-            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # numbers are unique, unlike ticks
+            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # rows are unique, ticks are not
             tell(done, len(block), "rows")
         file.finish({"rows": len(table), "source": list(table.source)})
     except BaseException:

@@ -32,8 +32,8 @@ from armlab.models.uncertainty import VelocityCovariance
 #     [value]  the fields of the value
 #     [fit]    statistics of the fit: names, units, covariance, noise, outliers
 #
-# Numbers have 17 digits and arrays are written row by row, so reading is bit-exact. After a call of
-# `register`, a class works with `models.save` and `models.load`.
+# Numbers have 17 digits and arrays are written row by row, so reading is bit-exact. After a call to `register`, a class
+# works with `models.save` and `models.load`.
 
 
 FORMAT = 1
@@ -362,7 +362,7 @@ def save(
     path = Path(path)
     if path.suffix != ".toml":
         raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the extension.")
-    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a Fit, from a higher layer
+    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a Fit (higher layer)
         return value.save(path, sources)
     content = torque_tables(value) if isinstance(value, TorqueModel) else value_file(value)
     content["meta"]["sources"] = [*content["meta"]["sources"], *sources]

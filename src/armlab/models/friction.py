@@ -136,9 +136,9 @@ class Friction(Shown):
     root : array, shape (n,), N m/sqrt(rad/s)
         Torque proportional to the square root of speed. Default: 0.
     smooth_speed : array, shape (n,), rad/s
-        v_t of tanh(qd / v_t), which replaces the presliding state if it is above 0. Default: 0.
+        v_t of tanh(qd / v_t), which replaces the presliding state if v_t is above 0. Default: 0.
     load : array, shape (n,)
-        Friction as a share of the torque that the joint transmits to the links; at least 0 and below 1. Default: 0.
+        Friction as a fraction of the torque that the joint transmits to the links; at least 0 and below 1. Default: 0.
     """
 
     viscous: np.ndarray
@@ -160,7 +160,7 @@ class Friction(Shown):
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
             raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Pass values >= 0.")
         if np.any(self.load < 0) or np.any(self.load >= 1):
-            raise ShapeError(f"Expected load friction from 0 to below 1, got {self.load.tolist()}. Pass the share.")
+            raise ShapeError(f"Expected load friction in [0, 1), got {self.load.tolist()}. Pass the share.")
 
     @classmethod
     def none(cls, n: int) -> Friction:
@@ -268,7 +268,7 @@ class RadialBasis:
     """Grid of centres over position and speed for all n joints; both directions of motion share the speeds.
 
     `positions`, `position_widths`: (n, P) [rad]; positions are ascending, and widths are positive. `speeds`,
-    `speed_widths`: (n, S) [rad/s]; speeds ascend from above 0, widths are positive.
+    `speed_widths`: (n, S) [rad/s]; speeds are positive and ascending, and widths are positive.
     """
 
     positions: np.ndarray
@@ -358,7 +358,7 @@ LARGEST = 1e15  # largest number in ripple lines, including joint numbers
 
 
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and widths (count,) [rad/s] of Gaussians that are evenly spaced between two speeds."""
+    """Return the centres and widths (count,) [rad/s] of Gaussians that are evenly spaced between two speeds."""
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
         raise ShapeError(

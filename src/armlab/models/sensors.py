@@ -36,7 +36,7 @@ class ForceSensor(Shown):
     sign : s, +1 if the sensor reads the weight of its load, -1 if it reads the reaction.
     gravity : g (3,) base axes [m/s^2].
     position : (3,) sensor origin in the tool frame [m].
-    robot_name, robot_hash : the robot that carries the sensor; empty for any.
+    robot_name, robot_hash : the robot that carries the sensor; empty for any robot.
     sources : logs used for the fit.
 
     Raises
@@ -310,7 +310,10 @@ class HandEye(Shown):
             good = values.ndim == 2 and values.shape[1] == 3 if name == "points" else values.shape == (4, 4)
             if not good or not np.isfinite(values).all():
                 what = "points (K, 3)" if name == "points" else f"a pose {name} (4, 4)"
-                raise ShapeError(f"Expected finite {what} of a hand-eye calibration, got {values.shape}. Correct it.")
+                raise ShapeError(
+                    f"Expected {what} with finite values for a hand-eye calibration, got NaN, Inf or shape "
+                    f"{values.shape}. Correct it."
+                )
             if name != "points":
                 values = kernels.poses(values, name)
             values.flags.writeable = False

@@ -66,7 +66,7 @@ class CoupledMotors:
         return self._spread(self.inertia * self._turned(qdd))
 
     def _turned(self, x: np.ndarray) -> np.ndarray:
-        # not @: results per row are independent of the batch, bit for bit
+        # avoids @, so that the result of a row is bit-identical in any batch
         return np.sum(self.ratios * np.asarray(x, dtype=float)[..., None, :], axis=-1)
 
     def _spread(self, own: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ class CoupledKernel:
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> Any:
         """Process one sample: q, qd, tau (n,), dt [s]."""
         if not np.shape(q) == np.shape(qd) == np.shape(tau):
-            return self._kernel.step(q, qd, tau, dt)  # raises with the cause
+            return self._kernel.step(q, qd, tau, dt)  # raises an error that states the cause
         whole = bool(np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and np.isfinite(dt))
         if not whole or not dt > 0:
             return self._kernel.step(q, qd, tau, dt)
@@ -133,7 +133,7 @@ class Quality(Shown):
     rms_cv : array, shape (n,), N m
         RMS residual of held-out blocks in motion, after the same filter.
     coverage : array, shape (n,)
-        Share of held-out causal residuals within 2 sigma.
+        Fraction of held-out causal residuals within 2 sigma.
     seconds : float, s
         Length of the training data.
     """
@@ -159,7 +159,8 @@ class Quality(Shown):
 
 
 SPEED_EDGES = np.array([0.0, 0.01, 0.03, 0.1, 0.3, 1.0])
-"""Lower edges of the speed bins as shares of the peak speed in training; the last bin is beyond the training range."""
+"""Lower edges of the speed bins as fractions of the peak speed in training; the last bin is beyond the training
+range."""
 SPEED_EDGES.flags.writeable = False
 
 
@@ -168,9 +169,9 @@ class Training:
     """Ranges of the training data of a model; its quality figures are valid only inside these ranges.
 
     `q_min`, `q_max`: (n,) limits of the position range [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n,
-    12) share of samples per bin of `SPEED_EDGES`: six for negative velocities, then six for positive velocities,
-    slowest first. `rest_share`: share of samples with every joint below 1 % of its peak speed. `longest_rest`: duration
-    of the longest segment at rest [s].
+    12) fraction of samples per bin of `SPEED_EDGES`: six for negative velocities, then six for positive velocities,
+    slowest first. `rest_share`: fraction of samples with every joint below 1 % of its peak speed. `longest_rest`:
+    duration of the longest segment at rest [s].
     """
 
     q_min: np.ndarray
@@ -219,7 +220,7 @@ class TorqueModel(Shown):
     lines, friction_map, warm_up : drive terms that `identify.fit_friction` adds if they improve the fit; else None.
     momentum : noise of torque and velocity for the momentum estimators, or None if unavailable.
     coupled : motors that move several joints, or None.
-    parameters : covariance of all parameters, which widens the torque covariance outside the identified motion; or
+    parameters : covariance of all parameters, which widens the torque covariance outside the identification motion; or
         None.
     quasi_static : True if the model contains only gravity, friction and offset, without torques from link motion.
     """
@@ -277,7 +278,9 @@ class TorqueModel(Shown):
         if self.momentum is not None and len(self.momentum.memory) != n:
             raise ShapeError(f"Expected momentum noise for {n} joints, got {len(self.momentum.memory)}.")
         if self.coupled is not None and self.coupled.ratios.shape[1] != n:
-            raise ShapeError(f"Expected coupled motors for {n} joints, got ratios {self.coupled.ratios.shape}.")
+            raise ShapeError(
+                f"Expected coupled motors for {n} joints, got ratios of shape {self.coupled.ratios.shape}."
+            )
         lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0), len(self.bound.speed)
         lengths = (*lengths, len(self.training.q_min))
         if lengths != (n,) * 5 or not 0 < self.cutoff < np.inf:
@@ -291,7 +294,7 @@ class TorqueModel(Shown):
         inside = (columns >= 0) & (columns < (11 + OF_FRICTION) * n) & (columns == np.floor(columns))
         if len(known.mean) != n or not inside.all():
             raise ShapeError(
-                f"Expected parameter columns that belong to {n} joints, got columns that do not. Repeat the fit."
+                f"Expected parameter columns that belong to {n} joints, got invalid columns. Repeat the fit."
             )
         _ = self.drive  # rejects terms with a different number of joints
 

@@ -138,7 +138,7 @@ class MomentumNoise:
             )
 
 
-# Covariance of the parameters. Its effect on the torque grows as a motion departs from the identified one:
+# Covariance of the parameters. Its effect on the torque grows as a motion departs from the identification motion:
 #
 #     var(tau_i) = w_i C w_i^T,   w_i the row of the regressor and of the friction of joint i
 
@@ -150,10 +150,10 @@ OF_FRICTION = 7  # parameters per joint
 class ParameterCovariance:
     """Covariance of the identified parameters for given gains, including drift until the next log.
 
-    The estimator adds the torque variance that exceeds the `mean` (n,) [(N m)^2] on the identified motion, because the
-    torque covariance already contains the mean. `columns`: (P,) index of each parameter among the columns of the links
-    (10 n), of the rotors (n), and of the friction of each joint (7 n): viscous, Coulomb of either direction, offset,
-    Stribeck, root, load. `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
+    The estimator adds the torque variance that exceeds the `mean` (n,) [(N m)^2] in the identification motion, because
+    the torque covariance already contains the mean. `columns`: (P,) index of each parameter among the columns of the
+    links (10 n), of the rotors (n), and of the friction of each joint (7 n): viscous, Coulomb of either direction,
+    offset, Stribeck, root, load. `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
     """
 
     columns: np.ndarray

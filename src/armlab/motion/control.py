@@ -52,7 +52,7 @@ class Controller(ABC):
 
     The controller starts at rest from the measured position whenever a robot session begins. Time advances by the
     interval between packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is
-    not made up later. After arrival, the controller keeps running, because the goal may change. The run ends after a
+    not recovered later. After arrival, the controller keeps running, because the goal may change. The run ends after a
     gap of more than 50 ms between packets, or if the start position contains NaN; `reason` states the cause.
 
     Parameters
@@ -130,7 +130,7 @@ class Controller(ABC):
 
     def columns(self) -> dict[str, Column]:
         """Return the recorded columns, for ``link.run(extra=...)``."""
-        from armlab.log import Column  # a lazy import, because it doubles the import time of motion
+        from armlab.log import Column  # imported lazily, because armlab.log doubles the import time of armlab.motion
 
         own = {"qdd_ref": Column((self._n,), unit="rad/s^2"), "path": Column((self._n,), unit="rad")}
         own["limited"] = Column((self._n,), unit="1", kind="count")
@@ -241,7 +241,7 @@ def _largest(values: np.ndarray) -> float:
 
 
 def steps_in(dt: float) -> int:
-    """Return the number of integration steps of at most 4 ms in dt [s]; ABB's cycle of 4.032 ms counts as one."""
+    """Return the number of integration steps of at most 4 ms in dt [s]; ABB's cycle of 4.032 ms counts as one step."""
     return max(1, ceil(dt / MAX_STEP - _SLACK)) if dt < np.inf else 1
 
 

@@ -123,7 +123,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         Raises
         ------
         ShapeError : non-increasing times, wrong shapes, or NaN.
-        ConfigError : both duration and tau_d given.
+        ConfigError : both duration and tau_d are given.
         """
         return self._run(RunParameters.of(self, **run), t)
 
@@ -259,7 +259,7 @@ class DmpController(Controller):
 
 
 FINE = 4000  # minimum number of response steps over a duration
-GRID = 401  # number of times at which the path change is evaluated
+GRID = 401  # number of time points at which the path change is evaluated
 RIDGE = 1e-7  # relative to the largest singular value; keeps weight directions without effect on the path unchanged
 SAME = 1e-10  # minimum eigenvalue of the correlation matrix of linearly independent via-points
 MAX_ITERATIONS = 3  # iterative refinement of the last digits

@@ -22,7 +22,7 @@ from armlab.motion.primitive.weights import block_covariance, solve
 from armlab.motion.storage import Saved, freeze_arrays
 from armlab.state import State
 
-GRID = 1024  # phases per period: resolves harmonics up to 512
+GRID = 1024  # phases per period, to resolve harmonics up to 512
 
 MAX_CONDITION = 1e11
 DETERMINED = 1e4  # condition number above which the motion between samples is not determined
@@ -123,7 +123,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     def _start_state(
         self, period: float | None, g: ArrayLike | None, r: float, y0: Any, v0: Any, phase: float
     ) -> Start:
-        """Return time constant, position, velocity, baseline and scale of a run; by default in steady state."""
+        """Return the time constant, position, velocity, baseline and scale of a run; by default in steady state."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, size = self.g if g is None else vector(g, "g", self.n), amplitude(r)
         y, rate = self.steady(number(phase, "phase [rad]"))

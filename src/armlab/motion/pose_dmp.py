@@ -219,7 +219,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
         Parameters
         ----------
-        robot : the arm; joint positions come from inverse kinematics, each starting from the previous solution.
+        robot : the arm; joint positions are computed by inverse kinematics, starting from the previous solution.
         limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; default: from the
             robot.
         duration, goal : as in `rollout`, with tool poses in base axes.
@@ -264,10 +264,11 @@ class PoseStepper:
         self._rotation.start(*self._first.turning[1:], at.tau)
 
     def change_goal(self, goal: ArrayLike) -> None:
-        """Change the goal pose; both forcings are scaled as if the goal had been set from the start."""
+        """Change the goal pose; both forcing terms are scaled as if the goal had been set from the start."""
         if self._dmp.frame == "goal":
             raise ConfigError(
-                "Expected a forcing in base axes for a goal change, got a forcing in goal axes. Start again from "
+                "Expected a forcing term in base axes for a goal change, got a forcing term in goal axes. Start again "
+                "from "
                 "the current pose, or use frame='base'."
             )
         first = self._first
@@ -349,7 +350,7 @@ class PoseDmpController(Controller):
 
 
 def pose(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return position (3,) and quaternion (4,) of a pose (4, 4) or (7,)."""
+    """Return the position (3,) and quaternion (4,) of a pose (4, 4) or (7,)."""
     array = numbers(value, what, ShapeError)
     if array.shape not in ((4, 4), (7,)):
         raise ShapeError(
@@ -434,7 +435,7 @@ MAX_ANGLE = 3.0  # rad from the goal: beyond half a turn, the shorter rotation r
 
 FINE = 1000  # minimum number of sensitivity steps over a duration
 MAX_ITERATIONS = 30
-TOLERANCE = 1e-9  # rad: smallest change, and smallest relative decrease of the sum of squares, to iterate further
+TOLERANCE = 1e-9  # rad: minimum change, and minimum relative decrease of the sum of squares, for another iteration
 PARTS = (1.0, 0.5, 0.2, 0.05)  # fractions of a step in the line search
 
 
@@ -538,7 +539,7 @@ def _report(fit: Fit[PoseDmp]) -> str:
 
 
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> tuple[Dmp, np.ndarray, np.ndarray]:
-    """Refine weights and start velocity by least squares of the motion error at orientations q (N, 4).
+    """Refine the weights and start velocity by minimising the squared motion error at orientations q (N, 4).
 
     Gauss-Newton steps on the rotation group use the linearised equation of docs/theory/pose_dmp.md. `hold` is the
     standstill time at the goal divided by the duration. Return the primitive, residuals (N, 3) [rad] and covariances

@@ -183,7 +183,7 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
 
 
 def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.0, dt: float = PERIOD) -> Profile:
-    """Return the cubic spline through points at given times, which minimises the integral of squared acceleration.
+    """Return the cubic spline through points at given times; it minimises the integral of squared acceleration.
 
     Parameters
     ----------
@@ -427,7 +427,7 @@ def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, 
 
 
 def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks and coefficients (M, 6, n) of a move from `start` by d with quadratic blends of `ramp` seconds.
+    """Return the breaks and coefficients (M, 6, n) of a move from `start` by d with quadratic blends of `ramp` seconds.
 
     ``V = 1 / (duration - ramp)``, ``a = V / ramp``; no linear segment if ``ramp = duration / 2``.
     """
@@ -448,7 +448,7 @@ def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tup
 def ruckig_pieces(
     q0: np.ndarray, q1: np.ndarray, qd0: np.ndarray, qd1: np.ndarray, *limits: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks (M + 1,) and coefficients (M, 6, n) of the motion planned by ruckig."""
+    """Return the breaks (M + 1,) and coefficients (M, 6, n) of the motion planned by ruckig."""
     try:
         import ruckig  # pyright: ignore[reportMissingImports]
     except ImportError:

@@ -21,8 +21,8 @@ from armlab.motion.storage import Saved, freeze_arrays
 
 UNLIKELY = 1e-6  # relative distance above which a point is outside the distribution
 
-SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance are fixed
-FLOOR = 1e-6  # fraction of the mean variance added to every direction, because some may have no variation
+SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance count as fixed
+FLOOR = 1e-6  # fraction of the mean variance added to every direction, because some directions may have no variation
 
 FEWEST = 2  # minimum number of demonstrations
 WIDTH = 0.8  # standard deviation of the kernels divided by their spacing
@@ -112,7 +112,7 @@ class ProMP(Saved, kind="promp"):
 
         Parameters
         ----------
-        t : (N,) times since the start [s], or a time step [s] up to the end.
+        t : (N,) times since the start [s], or a time step [s] for equally spaced times up to the end.
         duration : duration of the motion [s].
 
         Raises
@@ -342,8 +342,8 @@ def fit_promp(
 ) -> Fit[ProMP]:
     """Fit the mean and covariance of the weights to M demonstrations, separated from measurement noise.
 
-    The covariance is the weight variation between demonstrations that measurement noise does not explain. In the mean,
-    each demonstration is weighted by the inverse of the sum of both covariances (docs/theory/promp.md).
+    The covariance is the variation of the weights between demonstrations beyond that due to measurement noise. In the
+    mean, each demonstration is weighted by the inverse of the sum of both covariances (docs/theory/promp.md).
 
     Parameters
     ----------

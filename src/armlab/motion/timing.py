@@ -28,7 +28,7 @@ KNOTS = 2000  # knots of the clock rate over a duration
 MARGIN = 1e-6  # margin for the errors of parabolic interpolation between samples
 PARTS = 4  # points per interval between knots at which limits are checked
 
-BISECTIONS = 45  # give the largest squared rate at a knot to a relative error of 3e-14
+BISECTIONS = 45  # iterations that determine the largest squared rate at a knot to a relative error of 3e-14
 
 
 def shortest_duration(
@@ -41,7 +41,7 @@ def shortest_duration(
     g: ArrayLike | None = None,
     amplitude: ArrayLike | None = None,
 ) -> float:
-    """Return the shortest duration within the limits [s], at least the duration of the demonstration.
+    """Return the shortest duration within the limits [s], but at least the duration of the demonstration.
 
     The path stays the same; its duration is scaled by ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))``.
 

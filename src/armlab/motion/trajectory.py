@@ -359,7 +359,7 @@ class TrajectoryController:
         self._piece = pieces(trajectory.t[k + 1] - trajectory.t[k], *ends)
 
     def _reference(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity at the current time."""
+        """Return the position and velocity at the current time."""
         if self.t < 0.0:
             return self._piece[0], np.zeros_like(state.q)
         q, qd, _ = _evaluate(self._piece, self.t - self._from)

@@ -1,4 +1,4 @@
-"""Figures. Each function returns Axes or a Figure without showing or saving it. Matplotlib loads on first use."""
+"""Figures. Each function returns Axes or a Figure without showing or saving it. Matplotlib is imported on first use."""
 
 from __future__ import annotations
 

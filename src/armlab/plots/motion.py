@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
-"""Style of demonstrations: wide lines below the motion."""
+"""Style of demonstrations: thick lines below the motion."""
 _SAMPLES = 501
-_SETTLES = 1.5  # plotted time of motions that continue beyond their duration, relative to it
+_SETTLES = 1.5  # plotted time, relative to the duration, of motions that continue beyond their duration
 Goals = Sequence[tuple[float, ArrayLike]]
 
 
@@ -37,7 +37,7 @@ def dmp(
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and positions (N, n) of the demonstration, drawn as a wide grey line.
+    demo : times (N,) and positions (N, n) of the demonstration, drawn as a thick grey line.
     goals : goal changes (t, g), with the new goal g (n,) at time t [s], drawn as dashed lines.
     ax : five Axes to draw into; default: a new figure.
 
@@ -99,7 +99,8 @@ def dmp_phase(dmp: Dmp | Fit[Dmp], ax: Any = None) -> Axes:
 
 
 def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (N,) from 0 and positions (N, n) of a demonstration, or poses (N, 4, 4) if n is None."""
+    """Return the times (N,), starting at 0, and the positions (N, n) of a demonstration, or poses (N, 4, 4) if n is
+    None."""
     t = numbers(demo[0], "demo times", ShapeError)
     y = pose_stack(demo[1]) if n is None else numbers(demo[1], "demo positions", ShapeError)
     shape, what = ((4, 4), "poses (N, 4, 4)") if n is None else ((n,), f"positions (N, {n})")
@@ -156,7 +157,7 @@ def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | No
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a wide grey line; additional panels show its
+    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a thick grey line; additional panels show its
         distance from the primitive.
     ax : two Axes to draw into, or four with a demonstration; default: a new figure.
 
@@ -341,7 +342,7 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
     expect(run, TwoDofRun)
     which = range(run.yc.shape[1]) if dofs is None else dofs
     if not all(isinstance(i, int | np.integer) and 0 <= i < run.yc.shape[1] for i in which):
-        raise ShapeError(f"Expected dofs to be numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
+        raise ShapeError(f"Expected dofs to be indices from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
     with panels(3, 1, ax, width=8.0, height=2.0, sharex=True) as (figure, axes):
         position, error, slower = axes[:, 0]
         for i in which:

@@ -93,7 +93,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
 
 
 def _legends(axes: list[Axes]) -> None:
-    """Put a legend to the right of each panel, without the lines that a legend above already lists."""
+    """Put a legend to the right of each panel, omitting lines already listed in a legend above it."""
     said: set[str] = set()
     for ax in axes:
         handles, names = ax.get_legend_handles_labels()

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
 """Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up."""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
-"""Positions of a frame's label in the axes of the frame: away from x and y, or beyond z to avoid the arm."""
+"""Label positions in the axes of a frame: away from x and y, or beyond z to avoid the arm."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # z-order; lines have 2
 _EDGE = "#B0B0B0"  # grid colour of 3D axes
 _FLATTEST = 0.3  # minimum ratio of the shortest to the longest box side, for planar robots
 _HALF_SIDE = 0.0925  # half side of the axes in the figure, in matplotlib units
-_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # label distances in a cube, and matplotlib's default distance
+_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # label distances for a cubic box, and matplotlib's default distance
 _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # scaling of these distances with the sides of the box
 
 
@@ -44,7 +44,7 @@ def space(ax: Any = None) -> tuple[Figure, Axes3D]:
     elif getattr(ax, "name", "") != "3d":
         kind = f"{np.size(ax)} in an array" if np.ndim(ax) else f"{getattr(ax, 'name', type(ax).__name__)} Axes"
         raise ShapeError(f'Expected one Axes with projection="3d" in ax=, got {kind}.')
-    ax.computed_zorder = False  # matplotlib would draw solids above their labels
+    ax.computed_zorder = False  # matplotlib would draw solids on top of their labels
     for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
         axis.pane.set_alpha(None)
         axis.pane.set(closed=True, facecolor=(1.0, 1.0, 1.0, 0.0), edgecolor=_EDGE, linewidth=0.6)
@@ -209,7 +209,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     """
     size = numbers(frames, "frames", ShapeError)
     if size.ndim or not 0.0 <= size < np.inf:
-        raise ShapeError(f"Expected frames to be a length >= 0 m, got {frames!r}. 0 is the default.")
+        raise ShapeError(f"Expected frames to be a length >= 0 m, got {frames!r}. The default is 0.")
     frames = float(size)
     checked = [_checked(item) for item in items]
     with look():

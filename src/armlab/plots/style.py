@@ -53,7 +53,7 @@ def look() -> Iterator[None]:
 
     with mpl.rc_context(_RC):
         yield
-        interactive = mpl.is_interactive()  # the first figure loads the notebook backend, which enables it
+        interactive = mpl.is_interactive()  # the first figure's notebook backend enables interactive mode
     mpl.interactive(interactive)
 
 
@@ -161,7 +161,7 @@ def _extremes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
-    """Shade the intervals in which a mask (N,) is true, each up to the next sample.
+    """Shade the intervals in which a mask (N,) is true, each extended to the next sample.
 
     An outline keeps intervals of a single sample visible in a long log. Intervals closer than a pixel are merged.
     """
@@ -177,7 +177,7 @@ def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
-    """Put a common legend above the figure, or into the first axes if the user's layout has no room."""
+    """Put a common legend above the figure, or in the first axes if the user's layout has no room."""
     entries: dict[str, Any] = {}
     for ax in axes:
         entries |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
@@ -192,7 +192,7 @@ def _legend_columns(figure: Figure, labels: list[str]) -> int:
     """Return the number of legend columns that fit, at most seven; matplotlib would clip the others."""
     from matplotlib.textpath import TextPath
 
-    size = _RC["legend.fontsize"]  # line, padding and column spacing take 4.8 times this size
+    size = _RC["legend.fontsize"]  # line, padding and column spacing together take 4.8 times this size
     widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
     room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
     return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))

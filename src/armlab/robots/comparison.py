@@ -31,7 +31,7 @@ def differences(robot: Robot, other: Robot) -> tuple[str, ...]:
 
     Raises
     ------
-    RobotError : an argument is not a `Robot`.
+    RobotError : if an argument is not a `Robot`.
     """
     for one in (robot, other):
         if not isinstance(one, Robot):

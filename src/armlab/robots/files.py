@@ -91,7 +91,7 @@ def description(name: str | Path) -> Path | None:
 
 
 def _of_robot_descriptions(name: str) -> Path | None:
-    """Return the URDF of a module in the package robot_descriptions, which is downloaded on first use."""
+    """Return the URDF of a module in the package robot_descriptions, downloading it on first use."""
     if not name.isidentifier() or not name.endswith("_description"):
         return None
     try:
@@ -118,7 +118,7 @@ def _of_robot_descriptions(name: str) -> Path | None:
 
 
 def _of_example_robot_data(name: str) -> Path | None:
-    """Return a URDF by its name, or by a folder that contains a URDF of the same name or a single URDF."""
+    """Return a URDF by name, or by the name of a folder that contains a URDF of that name or a single URDF."""
     files = _example_robot_data()
     inside = [path for path in files.values() if f"/{name}/" in path.as_posix()]
     own = [path for path in inside if path.stem == name.removesuffix("_description")]
@@ -132,7 +132,7 @@ def _of_example_robot_data(name: str) -> Path | None:
 @cache
 def _example_robot_data() -> dict[str, Path]:
     """Return the URDF files of the package example-robot-data by name; empty without the package."""
-    from importlib.metadata import PackageNotFoundError, distribution  # lazy: a third of kinematics' import time
+    from importlib.metadata import PackageNotFoundError, distribution  # lazy: saves a third of kinematics' import time
 
     try:
         files = distribution("example-robot-data").files or ()
@@ -183,7 +183,7 @@ def to_toml(robot: Robot) -> str:
 
     Raises
     ------
-    RobotError : `robot` is not a `Robot`, or a name contains invalid characters.
+    RobotError : if `robot` is not a `Robot`, or a name contains invalid characters.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -202,7 +202,7 @@ def from_toml(text: str, origin: str) -> Robot:
 
     Raises
     ------
-    RobotError : the text is inconsistent; the message states the origin, the joint or line, and the value.
+    RobotError : if the text is inconsistent; the message states the origin, the joint or line, and the value.
     """
     if not isinstance(text, str):
         raise RobotError(f"Expected the text of a robot file, got {shortened(text)}. For a file, call robots.load.")

@@ -22,7 +22,7 @@ _ROWS, _COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # 
 
 
 class Body(NamedTuple):
-    """Rigid body in data-sheet parameters, in the axes of its frame."""
+    """Rigid body described by data-sheet parameters, in the axes of its frame."""
 
     mass: np.ndarray  # (...) [kg]
     centre: np.ndarray  # (..., 3) centre of mass [m]; zero for a massless body

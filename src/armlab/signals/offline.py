@@ -14,7 +14,7 @@ UNEVEN = 0.1  # largest relative deviation of a time step in an evenly sampled r
 PASSED = 0.8  # ratio of the decimation cut-off to the new Nyquist frequency
 ORDER = 3  # polynomial order of smooth_diff
 WINDOW = 1.25  # product of bandwidth and window length
-NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over sampling rate: windows of 125000 and five samples
+NARROWEST, WIDEST = 1e-5, 0.3  # ratio of bandwidth to sampling rate, for windows of 125000 and 5 samples
 
 
 def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
@@ -33,8 +33,8 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
 
     Raises
     ------
-    ShapeError : the record is too short or not finite, or the cut-off is outside (0, rate / 2).
-    ConfigError : order is not a positive integer.
+    ShapeError : if the record is too short or not finite, or the cut-off is outside (0, rate / 2).
+    ConfigError : if order is not a positive integer.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -86,8 +86,8 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
 
     Raises
     ------
-    ConfigError : the operator is not a filter.
-    ShapeError : values are not finite, or times do not increase.
+    ConfigError : if the operator is not a filter.
+    ShapeError : if values are not finite, or times do not increase.
 
     References
     ----------
@@ -133,8 +133,8 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
 
     Raises
     ------
-    ConfigError : factor is not a positive integer.
-    ShapeError : the record is too short or not finite.
+    ConfigError : if factor is not a positive integer.
+    ShapeError : if the record is too short or not finite.
     """
     if not 1 <= number(factor, "the factor", ConfigError) < np.inf or factor % 1:
         raise ConfigError(f"Expected an integer factor >= 1, got {factor:g}. Use Table.resample for other rates.")
@@ -161,7 +161,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : the times are not evenly spaced, the bandwidth is unattainable, or the record is shorter than the
+    ShapeError : if the times are not evenly spaced, the bandwidth is unattainable, or the record is shorter than the
         window.
 
     References

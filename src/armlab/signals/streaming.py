@@ -59,7 +59,7 @@ class Operator:
 
         Raises
         ------
-        ShapeError : the shape differs from that of the first sample, times do not increase, or only some samples have
+        ShapeError : if the shape differs from the first sample's, times do not increase, or only some samples have
             time stamps.
         """
         return self._kernel.step(x, t)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` imports
+if TYPE_CHECKING:  # for type checkers and editors; at run time, `__getattr__` imports the names
     from armlab.sim import two_link
     from armlab.sim.arm.arm import SimulatedArm, record
     from armlab.sim.arm.mismatch import Mismatch

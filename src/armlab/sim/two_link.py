@@ -56,7 +56,7 @@ class TwoLink:
 
     Raises
     ------
-    ConfigError : a mass or length is not above 0, a friction coefficient is below 0, or a number is not finite.
+    ConfigError : if a mass or length is not above 0, a friction coefficient is below 0, or a number is not finite.
     """
 
     m1: float = 0.2
@@ -192,8 +192,8 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
 
     Raises
     ------
-    ShapeError : wrong shape, or a point out of reach; the message contains the distance of the point.
-    UnknownName : `elbow` is neither "down" nor "up".
+    ShapeError : if the shape is wrong or a point is out of reach; the message contains the distance of the point.
+    UnknownName : if `elbow` is neither "down" nor "up".
     """
     if elbow not in ("down", "up"):
         raise UnknownName.among("elbow", elbow, ("down", "up"))

@@ -1,4 +1,4 @@
-"""The loop fed by hand, on a clock that only the test moves: no socket, no thread, nothing waits."""
+"""Loop fed manually, on a clock that only the test advances: no sockets, threads or waiting."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from ..conftest import PERIOD_NS, Packets
 
-MODULES = ("arm", "run", "loop", "recording", "supervision")  # of bridge.control, that read a clock
+MODULES = ("arm", "run", "loop", "recording", "supervision")  # modules of bridge.control that read a clock
 CONTROLLER = ("127.0.0.1", 5000)
 MS = 1_000_000
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
@@ -35,7 +35,7 @@ def drift(state: State) -> Command:
 
 
 class Clock:
-    """Stands for `time`; `now` is what it shows [ns]."""
+    """Replacement for `time`; `now` is the current time [ns]."""
 
     def __init__(self) -> None:
         self.now = 50_000_000_000
@@ -53,7 +53,7 @@ class Clock:
 
 
 class HandPort:
-    """A port: what waits on it, and what was sent."""
+    """Port with its waiting and sent datagrams."""
 
     host, port, errors = "127.0.0.1", 6510, 0
 
@@ -72,13 +72,13 @@ class HandPort:
 
 
 class Hands:
-    """A loop, and a robot's controller for each of its arms."""
+    """Loop with a robot controller for each arm."""
 
     def __init__(
         self, monkeypatch: pytest.MonkeyPatch, robots: Sequence[Robot], controller: Any, **options: Any
     ) -> None:
         self.clock = Clock()
-        monkeypatch.setattr("armlab.bridge.control.state_machine.READY_AFTER", 1)  # three packets: test_feedback.py
+        monkeypatch.setattr("armlab.bridge.control.state_machine.READY_AFTER", 1)  # three packets: see test_feedback.py
         for name in MODULES:
             monkeypatch.setattr(f"armlab.bridge.control.{name}.time", self.clock)
         self.ports = [HandPort() for _ in robots]
@@ -109,14 +109,14 @@ class Hands:
         self.loop = Loop(self.arms, self, controller, self.settings, *pace)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Stand for a feed, with `event`."""
+        """Act as a feed, together with `event`."""
         self.rows.append((state, command, tick))
 
     def event(self, text: str, warn: bool = False) -> None:
         self.warned += [text] * warn
 
     def next(self, seconds: float) -> tuple[int, Arrival] | None:
-        """Stand for `Waiting`: nothing comes while the loop waits."""
+        """Act as `Waiting`: nothing arrives while the loop waits."""
         self.waits.append(seconds)
         for index, port in enumerate(self.ports):
             if port.waiting:
@@ -125,7 +125,7 @@ class Hands:
         return None
 
     def put(self, index: int = 0, after: int | None = None, **fields: Any) -> None:
-        """Let a packet arrive some time after now, by default a period; it is then."""
+        """Advance the clock, by default by one period, and let a packet arrive."""
         self.clock.now += self.step if after is None else after
         packets = self.robots[index]
         tm = 10_000 + packets.cycle * self.step // 1_000_000
@@ -134,11 +134,11 @@ class Hands:
         self.ports[index].waiting.append(Arrival(data, CONTROLLER, self.clock.now))
 
     def garbage(self) -> Arrival:
-        """Return a datagram that is no packet, from the robot's own address."""
+        """Return an invalid datagram from the robot's own address."""
         return Arrival(b"garbage", CONTROLLER, self.clock.now)
 
     def cycle(self, *indices: int, after: int | None = None, **fields: Any) -> SensorMessage | None:
-        """Let a packet come to each arm, by default the first, with a cycle for each; return the last reply."""
+        """Let a packet arrive at each arm (default: the first) and run a cycle for each; return the last reply."""
         for index in indices or (0,):
             self.put(index, after, **fields)
             self.loop.cycle()

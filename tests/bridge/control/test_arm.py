@@ -1,4 +1,4 @@
-"""One arm of a loop, fed by hand."""
+"""One arm of a loop, fed manually."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def test_percentiles_are_numpys_to_a_bin() -> None:
     latency = Latency()
     for nanoseconds in (10**10, -5):
         latency.add(nanoseconds)
-    assert latency.percentile(100.0) == 1e7, "the last bin takes everything longer"
+    assert latency.percentile(100.0) == 1e7, "the last bin contains all longer times"
     assert latency.percentile(50.0) <= 1.0
     latency.add(19_998_500)
-    assert latency.percentile(60.0) == 19_999.0, "the longest time with a bin of its own"
+    assert latency.percentile(60.0) == 19_999.0, "the longest time with its own bin"
     latency = Latency()
     latency.add(500)
     assert latency.longest == 0.5
@@ -57,7 +57,7 @@ PERIOD = 0.004032
 
 
 def controller(trimming: QueueTrimming, extra: dict[int, int], cycles: int) -> tuple[list[int], int]:
-    """Ages of the references that act, and cycles without one: sends, takes one message, then the reply arrives."""
+    """Return the ages of applied references and the number of cycles without one; the reply arrives last in a cycle."""
     queue: deque[int] = deque()
     ages, starved, left = [], 0, 0
     for k in range(cycles):
@@ -90,7 +90,7 @@ def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
     [
         # Two cycles are not enough, and an unknown depth never acts.
         ([1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1, 3, 1, 2, 2], [False] * 13 + [True, False]),
-        # A queue that has become shorter, as in a new session, owes no more; then the depth becomes unknown.
+        # A shorter queue, as in a new session, cancels further skips; then the depth becomes unknown.
         ([9, 9, 9, 8, 2, 1, 0, 9, 9, 9, -1], [False] * 2 + [True] * 4 + [False] * 3 + [True, False]),
         # Whatever the robot reports, it gets replies.
         ([2**32 - 1] * 38, ([False] * 2 + [True] * 16) * 2 + [False] * 2),
@@ -117,7 +117,7 @@ def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
     trimming.leaves_out(0, PERIOD)
     for _ in range(249):
         trimming.leaves_out(1, PERIOD)
-    assert "1 message has waited" in told[1][0], "after it was empty, another one counts"
+    assert "1 message has waited" in told[1][0], "after the queue was empty, a new backlog is reported"
 
 
 WALL_NS = 1_700_000_000_000_000_000
@@ -181,7 +181,7 @@ def test_rows_stay_in_the_order_of_arrival(one: Make) -> None:
         if state.seq == 2:
             hands.put()
             hands.put()
-            hands.clock.now -= 10 * MS  # they came before the loop looked: none of them waited for it
+            hands.clock.now -= 10 * MS  # they arrived before the loop looked, so it did not wait for them
         return drift(state)
 
     hands = one(controller)
@@ -226,7 +226,7 @@ def test_details_are_those_of_the_packet(one: Make, monkeypatch: pytest.MonkeyPa
     data = hands.ports[0].waiting[0].data
     hands.loop.cycle()
     assert repr(hands.rows[0][0].details()) == repr(EgmCodec(hands.robots[0].robot).details(data))
-    for details in (lambda data: data, None):  # a codec of the user's need not have it
+    for details in (lambda data: data, None):  # optional in a user's codec
         monkeypatch.setattr(hands.arms[0], "_details", details)
         hands.put()
         data = hands.ports[0].waiting[0].data
@@ -252,7 +252,7 @@ def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(one: Make) -> 
     hands.put()
     hands.ports[0].waiting += [hands.garbage()] * 64
     hands.loop.cycle()
-    assert len(hands.ports[0].sent) == 4, "a packet gets its reply in a flood"
+    assert len(hands.ports[0].sent) == 4, "a packet gets its reply even in a flood"
 
 
 @pytest.mark.parametrize(("resume", "mode"), [(True, Mode.HOLDING), (False, Mode.ENDED)])
@@ -340,7 +340,7 @@ def test_a_packet_that_gets_no_reply_has_a_row(one: Make) -> None:
 
 @pytest.mark.parametrize("step", ["keep", "publish"])
 def test_a_row_is_recorded_once_despite_an_error(one: Make, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    """A row that was not kept is the next row; an error later, in the file or a feed, costs no second row."""
+    """A row that was not stored is stored next; a later error, in the file or a feed, causes no duplicate row."""
     hands = one()
     recording = hands.arms[0].recording
     publish = recording.publish
@@ -368,7 +368,7 @@ def test_a_reply_that_went_out_is_not_taken_back(one: Make, monkeypatch: pytest.
     assert len(sent) == 10
     steps = np.diff([one.q for one in sent if isinstance(one, SensorMessage)], axis=0)
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
-    assert [row[2].seq_sent for row in hands.rows] == [0, 1, 2, 3, 4, 5, 6, 7, 8]  # that of `replied` has no number
+    assert [row[2].seq_sent for row in hands.rows] == [0, 1, 2, 3, 4, 5, 6, 7, 8]  # no number if `replied` fails
 
 
 def test_a_reply_that_the_system_refuses_is_told_as_a_warning(one: Make) -> None:
@@ -388,7 +388,7 @@ def test_a_prediction_counts_the_packets_that_were_missed(one: Make) -> None:
     hands.robots[0].cycle += 2
     hands.cycle(after=3 * hands.step)
     assert hands.arms[0].prediction.next_ns == hands.clock.now + hands.step
-    hands.cycle(after=hands.step + MS)  # a millisecond late, of which a fiftieth counts
+    hands.cycle(after=hands.step + MS)  # 1 ms late, of which 2 % counts
     assert hands.arms[0].prediction.next_ns == hands.clock.now - 0.98 * MS + hands.step
 
 
@@ -400,7 +400,7 @@ def test_a_command_serves_for_exactly_its_time(one: Make) -> None:
     assert arm.kept_command(sample, 1.0) is None
     qd = np.zeros(7)
     arm.set_command(Command(qd=qd))
-    qd[2] = 1.0  # what the controller writes later is not commanded
+    qd[2] = 1.0  # later changes by the controller are not commanded
     served = [arm.kept_command(sample, 0.5) for _ in range(3)]
     assert [one is not None for one in served] == [True, True, False]
     assert not served[0].qd.any()  # type: ignore[union-attr]

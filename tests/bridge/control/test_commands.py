@@ -1,4 +1,4 @@
-"""Commands: what a controller may return, torques, external axes and values for RAPID; what is refused by sentences."""
+"""Commands: valid return values, torques, external axes, values for RAPID, and the errors for invalid commands."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_entry(robot: Robot) -> None:
     assert f"-0.5000 for joint 5 ({robot.joint_names[4]})" in entry_refusal(far, held, entry, robot)
     wide = np.where(np.arange(7) == 4, 0.4, 0.05)
     far[1] = 0.1
-    assert "joint 2" in entry_refusal(far, held, wide, robot), "twice what is allowed is more than 1.25 times"
+    assert "joint 2" in entry_refusal(far, held, wide, robot), "twice the limit is worse than 1.25 times the limit"
     assert "for axis 1 of" in entry_refusal(far, held, wide, robot, lambda i: f"axis {i}")
 
 
@@ -123,7 +123,7 @@ def test_no_position_is_near_a_place_that_is_not_a_number(robot: Robot) -> None:
     assert f"joint 4 ({robot.joint_names[3]}) of {robot.name}, which holds at nan" in entry_refusal(
         np.zeros(7), held, entry, robot
     )
-    assert entry_refusal(held, np.zeros(7), entry, robot) == "", "its limits refuse it, and count that"
+    assert entry_refusal(held, np.zeros(7), entry, robot) == "", "the limiter refuses and counts it"
     sent, jump, name = held, np.full(7, 0.1), partial(joint_name, robot)
     assert jump_refusal(np.full(7, 0.1), np.zeros(7), jump, robot, name) == ""
     assert jump_refusal(np.full(7, 0.3), np.full(7, 0.25), jump, robot, name) == ""
@@ -136,7 +136,7 @@ def test_no_position_is_near_a_place_that_is_not_a_number(robot: Robot) -> None:
 
 
 def test_far_is_what_the_axes_are_where_they_are_not_the_joints(robot: Robot) -> None:
-    """Of an IRB 2400 axis 3 is the sum of joints 2 and 3: both by 0.04 is far, one against the other is not."""
+    """Axis 3 of an IRB 2400 is the sum of joints 2 and 3: 0.04 in both is too far, but not with opposite signs."""
     linked, entry = robots.load("irb2400"), np.full(6, 0.05)
     q = np.array([0.0, 0.04, 0.04, 0.0, 0.0, 0.0])
     held = np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
@@ -160,7 +160,7 @@ def limits(robot: Robot) -> Limits:
 
 
 def test_a_torque_is_clipped_and_rises_slowly(robot: Robot, limits: Limits) -> None:
-    """10 N m in 0.1 s are 0.4 N m in a period of 4 ms; then it stays at the limit, and returns as slowly."""
+    """10 N m in 0.1 s is 0.4 N m per period of 4 ms; the torque then stays at the limit and falls at the same rate."""
     torques, limiter = Torques(robot, limits, TORQUES), Limiter(limits)
     reply = limiter.rest(robot.q_home)
     assert torques.limited(reply, None, T) is reply
@@ -285,7 +285,7 @@ def test_a_torque_alone_follows_the_arm_and_ends_in_a_hold(feed: Any, robot: Rob
         assert reply.tau[1] == pytest.approx(0.4 * (k + 1))
     assert machine.mode is Mode.RUNNING
     machine.take_back()
-    assert see(home, Command(tau=push)).tau[1] == pytest.approx(0.4 * 6), "what did not go out counts as time only"
+    assert see(home, Command(tau=push)).tau[1] == pytest.approx(0.4 * 6), "an unsent command counts only as time"
     held = see(home + 5e-3, None)
     assert not held.free
     assert machine.mode is Mode.HOLDING
@@ -312,11 +312,11 @@ def test_a_torque_alone_is_refused_beyond_the_limits_of_the_arm(feed: Any, robot
     words = f"joint 2 ({robot.joint_names[1]}) is moving at 99.0000; the allowed range is up to {limits.qd_max[1]:.4f}."
     assert words in outside(robot.q_home, fast)
     for end, sign in ((limits.q_min, 1.0), (limits.q_max, -1.0)):
-        assert outside(end, sign * limits.qd_max) == "", "the limits themselves are within"
+        assert outside(end, sign * limits.qd_max) == "", "the limits themselves are allowed"
 
 
 def test_torque_limits_of_a_robot(robot: Robot) -> None:
-    """A robot without torque limits gets none; ur5e has 150 N m and 28 N m."""
+    """No torque limits are added to a robot without them; ur5e has 150 N m and 28 N m."""
     assert Limits.of(robot).tau_max is None
     limits = Limits.of(robots.load("ur5e"))
     np.testing.assert_allclose(limits.tau_rate, [1500.0] * 3 + [280.0] * 3)
@@ -336,7 +336,7 @@ def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
         pushed.reply(None)
         for k in range(3):
             assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(0.4 * (k + 1))
-        assert pushed.reply(Command(pushed.home)).tau == pytest.approx(0.8), "without one it goes as it came"
+        assert pushed.reply(Command(pushed.home)).tau == pytest.approx(0.8), "without a command, it falls at this rate"
         assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(1.2)
         refused = pushed.reply(Command(pushed.home + 1.0, tau=np.full(7, 10.0)))
         assert refused.tau == pytest.approx(0.8)
@@ -411,9 +411,9 @@ def seen(
 
 
 def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
-    """Half a radian per second after 0.1 s, its speed with each position, and a ramp down in the end."""
+    """The axes reach 0.5 rad/s after 0.1 s, each position is sent with its speed, and they ramp down at the end."""
     external, here = seen(AXES, robot)
-    assert external.hold(T, T) is None, "nobody asked for a motion"
+    assert external.hold(T, T) is None, "no motion was commanded"
     goal = here.q_ext + 0.0025 * np.arange(1, 61)[:, None]
     found = [external.follow(Command(q_ext=q_ext), here, T, T) or Beside() for q_ext in goal]
     steps = np.diff([here.q_ext, *[one.q_ext for one in found if one.q_ext is not None]], axis=0)
@@ -482,7 +482,7 @@ def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: 
     here = np.array([0.3, -0.2])
     assert cycle(Command(q_ext=here)) is not None
     machine.take_back()
-    assert cycle() is None, "the first reference of the axes did not go out"
+    assert cycle() is None, "the first reference of the axes was not sent"
     for k in range(20):
         found = cycle(Command(q_ext=here + 0.002 * k))
     assert found.qd_ext.min() > 0.1
@@ -498,7 +498,7 @@ def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: 
 
 
 def moving(feed: Any, robot: Robot, cycles: int = 60) -> tuple[StateMachine, Callable[..., Any]]:
-    """Return a machine whose external axes move at full speed after 60 cycles, and what answers its next packet."""
+    """Return a machine with external axes at full speed after 60 cycles, and a function that answers its packets."""
     feed.packets.codec = RobotSideCodec(robot, "7", external=2)
     machine = StateMachine(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
     here = np.array([0.3, -0.2])
@@ -519,7 +519,7 @@ def moving(feed: Any, robot: Robot, cycles: int = 60) -> tuple[StateMachine, Cal
 def test_axes_begin_anew_where_they_are_when_the_robot_is_ready_again(feed: Any, robot: Robot, away: str) -> None:
     machine, cycle = moving(feed, robot)
     there = np.array([-0.6, 0.4])
-    for _ in range(300):  # it takes them more than a second
+    for _ in range(300):  # the axes need more than a second
         cycle(answered=away != "overtaken", q_ext=there, motors=2)
         if away == "not sent":
             machine.take_back()
@@ -544,7 +544,7 @@ def test_axes_begin_near_where_they_are_held_after_each_loss_of_readiness(
     if machine.failure is None:
         machine.take_back()
         cycle(Command(q_ext=there - 0.08), q_ext=there)
-        assert machine.mode is Mode.STOPPING, "the first one did not go out"
+        assert machine.mode is Mode.STOPPING, "the first reference was not sent"
     assert "first position of external axis 1 within 0.05" in str(machine.failure)
 
 
@@ -600,5 +600,5 @@ def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot
     for q_ext in (here + false, here + false, here):
         beside = cycle(q_ext=q_ext, motors=2 if q_ext is not here else 1)
         np.testing.assert_allclose(beside.q_ext, here)
-    assert ["external axes" in text for text in feed.warnings] == [False, True], "the first is that it is not ready"
+    assert ["external axes" in text for text in feed.warnings] == [False, True], "the first: the robot is not ready"
     assert machine.ready

@@ -1,4 +1,4 @@
-"""Plausible feedback and what ends a run from outside the controller: doubts, silence, sessions that end at once."""
+"""Plausible feedback, and external reasons to end a run: implausible feedback, silence, very short sessions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ T = 0.004
 
 
 class Follower(Bench):
-    """A machine with its real rule of three packets, and an arm that follows unless a feedback is given."""
+    """State machine with the real three-packet rule, and an arm that follows unless feedback is given."""
 
     def __init__(self, robot: Robot, limits: Limits | None = None) -> None:
         super().__init__(Feed(robot), robot, limits)
@@ -81,7 +81,7 @@ def test_two_false_packets_at_readiness_are_never_a_reference(bench: Follower, f
     sent = [reply.q for reply in replies if reply is not None]
     if before >= 3 or false == 100.0:
         np.testing.assert_allclose(sent, np.broadcast_to(home, np.shape(sent)), rtol=1e-14)
-    else:  # nothing contradicts the first packets of all: each is answered with its own feedback
+    else:  # the very first packets cannot be contradicted: each is answered with its own feedback
         np.testing.assert_allclose(sent[2:], np.broadcast_to(home, np.shape(sent[2:])), rtol=1e-14)
         np.testing.assert_allclose(bench.machine.q_start, home, rtol=1e-14)
     assert bench.machine.ready
@@ -120,7 +120,7 @@ def test_an_arm_that_does_not_follow_stops_the_run(robot: Robot) -> None:
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
-    """RampInTime: as far behind as 0.3 s of the speed, until it has caught up once."""
+    """RampInTime: the arm may lag by 0.3 s times its speed until it has caught up once."""
     middle = (robot.q_min + robot.q_max) / 2
     check, sent = FeedbackCheck(robot, Limits.of(robot)), Limiter(Limits.of(robot)).rest(middle)
     moving = sent._replace(qd=np.full(7, 1.0))
@@ -157,7 +157,7 @@ def test_feedback_outside_the_range(robot: Robot) -> None:
 
 
 def test_the_following_error_is_that_of_the_axes() -> None:
-    """An IRB 2400 counts axis 3 from the foot: joints 2 and 3 against each other leave it where it is."""
+    """An IRB 2400 measures axis 3 from the base: opposite changes of joints 2 and 3 leave it unchanged."""
     robot = robots.load("irb2400")
     check, sent = FeedbackCheck(robot, Limits.of(robot)), Limiter(Limits.of(robot)).rest(robot.q_home)
     apart = robot.q_home + np.array([0, 0.06, 0.06, 0, 0, 0])
@@ -198,7 +198,7 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     assert "the packets contain no motor state" in readiness.not_ready_reason(packet(packets, motors=None))
     assert readiness.not_ready_reason(packet(packets)) == ""
     assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
-    readiness.begin()  # of a new session nothing is known
+    readiness.begin()  # a new session starts without known states
     assert "the packets contain no motor state" in readiness.not_ready_reason(packet(packets, motors=None))
 
 
@@ -208,21 +208,21 @@ def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_fr
     sent = [bench(q=late), *[bench(q=late, motors=None) for _ in range(30)], *[bench(q=late) for _ in range(3)]]
     q = np.array([reply.q for reply in sent if reply is not None])
     assert len(q) == 34
-    assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which is behind"
+    assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which lags"
     assert bench.machine.ready
     assert bench.feed.events[-1] == "The robot reports its states again."
 
 
 @pytest.mark.parametrize("fields", [{"motors": None}, {"q": 0.5}], ids=["no states", "implausible"])
 def test_a_fast_arm_brakes_where_nothing_is_known_of_it(robot: Robot, fields: dict[str, Any]) -> None:
-    """It neither stops at once nor keeps its last reference."""
+    """The arm neither stops immediately nor keeps its last reference."""
     limits = replace(Limits.of(robot), qdd_max=np.full(7, 5.0))
     bench = Follower(robot, limits).moving()
     for _ in range(100):
         before = bench(Command(qd=np.full(7, 0.5)))
     if "q" in fields:
         fields = {"q": bench.q + fields["q"]}
-    for _ in range(5 if "motors" in fields else 1):  # from the third one on its states are unknown
+    for _ in range(5 if "motors" in fields else 1):  # from the third packet on, the robot states are unknown
         held = bench(**fields)
         assert (held.q > before.q).all()
         np.testing.assert_allclose(held.qd, before.qd - 5.0 * T, rtol=1e-6)
@@ -230,7 +230,7 @@ def test_a_fast_arm_brakes_where_nothing_is_known_of_it(robot: Robot, fields: di
 
 
 class Supervised:
-    """A supervisor over a session that can be given packets."""
+    """Supervisor of a session to which tests can pass packets."""
 
     def __init__(self, feed: Any, robot: Robot, commands: bool = True, **settings: Any) -> None:
         self.port = Port("127.0.0.1", 0)
@@ -246,7 +246,7 @@ class Supervised:
         self.machine.observe(self.feed.sample(after=0))
 
     def check_silence(self, silent_for: float) -> None:
-        """Look as if the last packet had come so many seconds ago."""
+        """Check as if the last packet had arrived `silent_for` seconds ago."""
         heard = time.monotonic_ns() - int(1e9 * silent_for)
         if self.feed.session._last is not None:
             self.feed.session._last.arrival_ns = heard
@@ -327,7 +327,7 @@ def test_silence_and_a_robot_that_is_gone(
 
 
 def sessions(bench: Supervised, count: int, packets: int, **fields: Any) -> None:
-    """Sessions of so many packets each, one right after another."""
+    """Run `count` sessions of `packets` packets each, in immediate succession."""
     for _ in range(count):
         bench.feed.packets.seq = 0
         for k in range(packets):

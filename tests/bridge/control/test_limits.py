@@ -1,4 +1,4 @@
-"""`Limits` and `Limiter`: no reference leaves that is faster, accelerates more or is further out than allowed."""
+"""`Limits` and `Limiter`: no reference exceeds the position, speed or acceleration limits."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_sliding_joint_may_jump_and_begin_two_centimetres_away() -> None:
 
 
 def test_no_first_position_may_be_further_away_than_a_jump(robot: Robot) -> None:
-    """It would pass the entry check and be refused as a jump, three times, which ends the run."""
+    """Such a position would pass the entry check but be refused as a jump three times, which ends the run."""
     assert Limits.of(robot, entry=0.1).entry.tolist() == [0.1] * 7
     with pytest.raises(
         ConfigError, match=r"Limits\.entry to be at most Limits\.jump for each joint.*got \[0\.3.*\] and \[0\.1"
@@ -89,7 +89,7 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
     limiter = limiter_of(Limits.of(robot), robot)
     assert type(limiter) is Limiter
     assert limiter.at_rest
-    assert not limiter.hold(T).q.any(), "a new one stands at zero"
+    assert not limiter.hold(T).q.any(), "a new limiter is at zero"
     start = limiter.rest(robot.q_home.copy())
     for reply in (start, limiter.follow(robot.q_home.copy(), np.zeros(7))):
         assert not any(array.flags.writeable for array in (reply.q, reply.qd, reply.clamped))
@@ -97,7 +97,7 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
         assert reply.free is (reply is not start)
     assert isinstance(start, Reply)
     assert not limiter.step(robot.q_home + 1e-4, np.zeros(7), T).qd.any()
-    assert not limiter.at_rest, "only where position and speed are"
+    assert not limiter.at_rest, "at rest requires constant position and zero speed"
     limiter.rest(robot.q_home)
     first, second = (limiter.step(robot.q_home + 0.05, None, T) for _ in range(2))
     np.testing.assert_array_equal(limiter.q, second.q)
@@ -143,7 +143,7 @@ LINKED = robots.load("irb2400")
 
 
 def test_the_sum_of_two_joints_is_limited() -> None:
-    """Joints 2 and 3 each stay within their numbers, their sum would reach 68 degrees, the axis ends at 65."""
+    """Joints 2 and 3 each stay within their limits, but their sum would reach 68 degrees; the axis limit is 65."""
     limits = Limits.of(LINKED)
     limiter = limiter_of(limits, LINKED)
     q = np.radians([0.0, 40, 20, 0, 30, 0])
@@ -163,7 +163,7 @@ def test_the_sum_of_two_joints_is_limited() -> None:
 
 
 def test_limits_of_a_coupled_robot_are_those_of_its_axes() -> None:
-    """Lower arm forward by 60 degrees, upper arm level: joint 3 is at -60 - 50 degrees, and that is no mistake."""
+    """With the lower arm 60 degrees forward and the upper arm level, joint 3 is at -60 - 50 degrees, which is valid."""
     limiter = limiter_of(Limits.of(LINKED), LINKED)
     assert isinstance(limiter, LinkedLimiter)
     limiter.rest(LINKED.q_home)
@@ -186,7 +186,7 @@ CYCLES = (2, 3, 4, 5, 8, 12, 24, 48)  # ms
 
 
 class RobotOnNetwork:
-    """A robot whose cycle changes at any packet, on a network that loses and bunches; its arm follows."""
+    """Robot whose cycle time may change at any packet, on a network that loses and bunches packets; its arm follows."""
 
     def __init__(self) -> None:
         self.packets, self.events = Packets(ROBOT), list[str]()
@@ -194,7 +194,7 @@ class RobotOnNetwork:
         self.session = Session(EgmCodec(ROBOT), on_event=self.tell)
         self.machine = StateMachine(ROBOT, LIMITS, on_event=self.tell)
         self.now_ns, self.arrival_ns = 10**12, 0
-        self.sent: tuple[int, np.ndarray, np.ndarray] | None = None  # robot ns, position, velocity
+        self.sent: tuple[int, np.ndarray, np.ndarray] | None = None  # robot time [ns], position, velocity
         self.replies, self.apart, self.fastest = 0, 0.0, np.zeros(7)
 
     def tell(self, text: str, warn: bool = False) -> None:
@@ -212,7 +212,7 @@ class RobotOnNetwork:
         sample = self.session.accept(Arrival(data, ("127.0.0.1", 5000), self.arrival_ns))
         told = len(self.events)
         self.machine.observe(sample)
-        if "The robot is ready and holds its position." in self.events[told:]:  # a reference begins where the arm is
+        if "The robot is ready and holds its position." in self.events[told:]:  # a reference starts at the arm
             self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
         asked = command(self.machine.state(sample, 0, {})) if self.machine.calls else None
         reply = self.machine.answer(asked, self.session.period.seconds)
@@ -223,7 +223,7 @@ class RobotOnNetwork:
         self.replies += 1
         if not self.machine.ready and np.abs(reply.q - self.packets.q).max() <= EXACT and not reply.qd.any():
             self.sent = self.now_ns, reply.q, np.zeros(7)
-        else:  # guided, or of a robot that no longer says whether it follows
+        else:  # guided, or the robot no longer reports whether it follows
             self.judge(reply, agrees=asked is None or asked.q is None or asked.qd is None)
         self.target = reply.q
 
@@ -236,7 +236,7 @@ class RobotOnNetwork:
         assert (np.abs(reply.q - q) <= LIMITS.qd_max * dt + EXACT).all()
         assert (np.abs(v_now - v) <= LIMITS.qdd_max * dt + EXACT / dt).all()
         assert ((reply.q >= LIMITS.q_min - EXACT) & (reply.q <= LIMITS.q_max + EXACT)).all()
-        if not agrees:  # a speed of the controller's own: within one step of acceleration, of the longest so far
+        if not agrees:  # separate speed command: within the acceleration of the longest cycle so far
             self.apart = max(dt, self.apart)
         difference = np.abs(reply.qd - v_now)
         assert (difference <= self.apart * LIMITS.qdd_max + EXACT / dt).all(), "the speed agrees with the positions"
@@ -246,7 +246,7 @@ class RobotOnNetwork:
 
 
 def commands(kind: str, rng: np.random.Generator) -> Any:
-    """Return what a controller does: a function of the state."""
+    """Return a controller of the given kind, a function of the state."""
     goal, speed = rng.uniform(ROBOT.q_min - 0.1, ROBOT.q_max + 0.1), rng.uniform(-3.0, 3.0, 7) * ROBOT.qd_max
     return {
         "hold": lambda state: None,
@@ -261,7 +261,7 @@ def commands(kind: str, rng: np.random.Generator) -> Any:
 STATES = [{}] * 5 + [{"motors": 2}, {"mci": 2}, {"motors": None}, {"rapid": 1}]
 PIECES = st.tuples(
     st.sampled_from(CYCLES),
-    st.booleans(),  # another cycle time at each packet
+    st.booleans(),  # whether the cycle time changes at each packet
     st.integers(1, 40),
     st.sampled_from(["hold", "speed", "speed", "near", "towards", "both", "jump"]),
     st.sampled_from(["good", "good", "loss", "burst", "unsent"]),
@@ -303,8 +303,8 @@ def test_a_robot_that_streams_slower_than_it_guides(before: int, then: int) -> N
     assert robot.fastest[0] == pytest.approx(ROBOT.qd_max[0], rel=1e-9)
 
 
-QUICK = "irb1200"  # whose simulated arm went through its limits once, as those of irb120 and yumi_right
-LIMITED = [name for name in robots.names() if np.isfinite(robots.load(name).q_max).all()]  # not the DH test
+QUICK = "irb1200"  # its simulated arm once exceeded its limits, as did irb120 and yumi_right
+LIMITED = [name for name in robots.names() if np.isfinite(robots.load(name).q_max).all()]  # without dh_test
 ARMS = [pytest.param(name, marks=() if name == QUICK else pytest.mark.slow) for name in LIMITED]
 
 
@@ -318,7 +318,7 @@ def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
     def controller(state: State) -> Command:
         return Command(qd=robot.qd_max * (1.0 if state.t < turn else -1.0))
 
-    # the ur5e's efforts do not brake all its joints in the 0.1 s that its description assumes
+    # the ur5e's torque limits cannot brake all joints in the 0.1 s that its description assumes
     lagging = "&lagging=true" if name == "ur5e" else ""
     with bridge.connect(f"sim://{name}?lockstep=true&seed=1{lagging}", robot) as link:
         run = link.run(controller, seconds=2.0 * turn + 1.0, limits=limits)
@@ -327,7 +327,7 @@ def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
     sent = np.array([axes(row) for row in sent[np.isfinite(sent).all(axis=1)]])
     assert ((sent >= limits.q_min - 1e-9) & (sent <= limits.q_max + 1e-9)).all(), "no reference outside the limits"
     assert ((q >= robot.q_min) & (q <= robot.q_max)).all(), "the arm stays within its range"
-    if axes(robot.q_home) is robot.q_home:  # joints of a coupled robot hinder one another
+    if axes(robot.q_home) is robot.q_home:  # joints of a coupled robot limit each other
         assert (sent.max(axis=0) > limits.q_max - 0.01).all()
         assert (sent.min(axis=0) < limits.q_min + 0.01).all()
 

@@ -1,4 +1,4 @@
-"""The loop packet by packet: when it asks, looks, blames, what the guard does meanwhile, and what reaches the wire."""
+"""The loop, packet by packet: controller calls, checks, lateness reports, the guard, and the packets sent."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make)
     assert hands.arms[0].machine.mode is Mode.STOPPING
     with pytest.raises(KeyboardInterrupt):
         hands.loop.interrupt()
-    hands = one(drift)  # a run that has ended waits for nothing
+    hands = one(drift)  # an ended run waits for nothing
     hands.loop.interrupt()
     hands.loop.cycle()
     assert hands.arms[0].machine.mode is Mode.ENDED
@@ -131,7 +131,7 @@ def test_looks_come_when_nothing_came_and_twenty_times_a_second(one: Make) -> No
     for _ in range(12):
         hands.cycle()
     assert len(looks) == 4
-    hands.cycle(after=2 * MS)  # exactly 50 ms after the last one
+    hands.cycle(after=2 * MS)  # exactly 50 ms after the last check
     assert len(looks) == 4
     hands.cycle(after=1)
     assert len(looks) == 5
@@ -193,7 +193,7 @@ def test_the_guard_answers_for_a_controller_that_is_overdue(one: Make) -> None:
     np.testing.assert_array_equal(np.flatnonzero(table["late"]), [10, 11])
     np.testing.assert_array_equal(table["seq_sent"], np.arange(15))
     assert np.isnan(table["qd_ref"][10:12].astype(float)).all()
-    assert "step_ns" not in table.values  # none of the calls took time but the one that was thrown away
+    assert "step_ns" not in table.values  # only the discarded call took time
     np.testing.assert_allclose(np.abs(table["qd_sent"][9:13]).max(axis=1), [0.1, 0.0, 0.0, 0.1], atol=1e-12)
     assert (loop.reason, loop.failure) == ("", None)
 
@@ -203,7 +203,7 @@ def test_the_guard_answers_for_a_controller_that_is_overdue(one: Make) -> None:
     [
         (0, 3.01, 5, True),
         (0, 2.9, 0, False),
-        (2.5, 1.0, 5, False),  # late, and not by the controller's fault
+        (2.5, 1.0, 5, False),  # late, but not because of the controller
         (1.5, 2.0, 5, False),
         (1.5, 2.01, 5, True),
     ],
@@ -438,7 +438,7 @@ def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> Non
         assert count < 1000
         hands.cycle()
         count += 1
-    assert count == 501  # the first is the packet after which the interrupt is seen
+    assert count == 501  # the first is the packet after which the interrupt is noticed
     assert isinstance(hands.loop.failure, LinkError)
     assert any("Expected to send the replies that bring the arm to rest" in text for text in hands.warned)
 
@@ -559,7 +559,7 @@ def test_progress_extra_columns_and_own_limits(play: Any, robot: Robot) -> None:
 def test_a_dry_run_replies_as_a_cycle_does_and_leaves_no_trace(name: str, caplog: pytest.LogCaptureFixture) -> None:
     robot = robots.load(name)
     codec = EgmCodec(robot, extension=True)
-    codec.robotware = "6.06"  # of the run before
+    codec.robotware = "6.06"  # from the previous run
     with caplog.at_level(0):
         dry_run = DryRun(End(robot, None, codec), Limits.of(robot))  # type: ignore[arg-type]
         arm, sent = dry_run._loop._arms[0], list[bytes]()

@@ -1,4 +1,4 @@
-"""Several arms in one loop: states, commands, and replies while one of them is silent, not ready or begins anew."""
+"""Several arms in one loop: states, commands, and replies while one arm is silent, not ready or restarting."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .conftest import LEFT, MS, RIGHT, Hands, Make, drift
 
 
 def moving(hands: Hands) -> Hands:
-    """Let twenty packets come to each of two arms; the second then moves at full speed."""
+    """Deliver twenty packets to each of two arms; the second then moves at full speed."""
     for _ in range(20):
         hands.cycle(0, 1)
     assert hands.speed(1) == pytest.approx(0.1)
@@ -39,7 +39,7 @@ def test_merged_states() -> None:
     np.testing.assert_array_equal(both.tau, [3.0] * 7 + [6.0] * 7)
     assert [arm.age for arm in both.arms] == [0.003, 0.0]
     assert both.arms[1] is paced
-    newer = merge_states([state("a", 1), paced], [-0.001, 0.0], 1, 5.0)  # its packet came after that of the other arm
+    newer = merge_states([state("a", 1), paced], [-0.001, 0.0], 1, 5.0)  # its packet came after the other arm's
     assert [arm.age for arm in newer.arms] == [0.0, 0.0]
     np.testing.assert_array_equal(both.arms[0].q, np.ones(7))
     assert not both.q.flags.writeable
@@ -117,7 +117,7 @@ def test_two_simulated_arms(tmp_path: Path) -> None:
             link.run(controller, pace="yumi_middle")
         run = link.run(controller, pace="yumi_right", **options)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["logleft.mcap", "logright.mcap"]
-    assert [arm.statistics["robot"] for arm in run.arms] == ["yumi_right", "yumi_left"], "the one that paces first"
+    assert [arm.statistics["robot"] for arm in run.arms] == ["yumi_right", "yumi_left"], "the pacing arm comes first"
     assert all(len(now.q) == 14 and len(now.arms) == 2 for now in seen)
     assert seen[0].t == 0.0
     for arm, sign in zip(run.arms, (-1.0, 1.0), strict=True):
@@ -171,7 +171,7 @@ def test_an_arm_unheard_for_three_periods_and_20_ms_holds_the_one_that_paces(
     held = len(called)
     hands.robots[1].seq = 0
     hands.cycle(1, 0)
-    assert len(called) == held + 1, "the run goes on when both are there"
+    assert len(called) == held + 1, "the run continues once both arms are present"
 
 
 def test_a_session_that_begins_while_the_controller_computes_is_not_sent_its_command(two: Make) -> None:
@@ -204,7 +204,7 @@ def test_a_command_that_is_none_for_two_arms_holds_both_and_is_the_reason(two: M
 def test_an_arm_that_stops_stops_the_other(two: Make) -> None:
     hands = moving(two(drift))
     hands.arms[1].machine.stop("enough of this arm")
-    hands.cycle(1)  # so the first arm is the last one at rest, and its reply the last one of the run
+    hands.cycle(1)  # so the first arm comes to rest last, and its reply is the last of the run
     hands.run(0, 1)
     assert (hands.loop.reason, hands.loop.failure) == ("enough of this arm", None)
     assert [arm.machine.mode for arm in hands.arms] == [Mode.ENDED] * 2
@@ -239,7 +239,7 @@ def test_garbage_for_one_arm_is_not_answered_and_is_no_silence(two: Make, bad: i
     assert hands.arms[bad].session.total_drops == 1
     assert not looks
     hands.loop.cycle()
-    assert len(looks) == 2  # nothing came: a look at each arm
+    assert len(looks) == 2  # no packet arrived: one check of each arm
 
 
 def test_in_lockstep_no_arm_is_stale(two: Make) -> None:
@@ -263,7 +263,7 @@ def test_an_arm_that_never_comes_ends_the_run(two: Make) -> None:
 def test_a_command_serves_another_arm_for_two_and_a_half_periods(two: Make) -> None:
     hands = moving(two(drift))
     speeds = []
-    for _ in range(2):  # the second is the third packet of this command
+    for _ in range(2):  # the second one is the third packet of this command
         hands.cycle(1)
         speeds.append(hands.speed(1))
     assert speeds[0] == pytest.approx(0.1)

@@ -52,7 +52,7 @@ def test_the_collector_sleeps_and_wakes_and_switches_are_short() -> None:
     try:
         with quiet_memory():
             pass
-        assert not gc.isenabled(), "one that was off stays off"
+        assert not gc.isenabled(), "a disabled collector stays disabled"
     finally:
         gc.enable()
 
@@ -178,7 +178,7 @@ MS = 1_000_000
 
 
 @pytest.mark.parametrize(
-    "packets",  # arrival, periods since the last, and the prediction that follows [ms]
+    "packets",  # arrival, periods since the previous packet, resulting prediction [ms]
     [
         [(100, 1, 104), (103, 1, 107), (108, 1, 111.02)],  # early arrivals count fully, late ones by 2 %
         [(0, 1, 4), (12, 3, 16), (500, 1, 504)],  # lost packets, and a stall
@@ -343,8 +343,8 @@ def test_five_percent_in_one_second() -> None:
     assert "within one second" in verdicts[first]
     rarely = Lateness()
     assert not any(rarely.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
-    assert any(rarely.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250)), "what is late now counts"
-    for share, words in ((20, ""), (19, "6 of 100 cycles within one second were late")):  # the oldest a second ago
+    assert any(rarely.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250)), "current lateness counts"
+    for share, words in ((20, ""), (19, "6 of 100 cycles within one second were late")):  # the oldest was 1 s ago
         lateness = Lateness()
         found = [lateness.add((k + 1) * 10**7 if k else 0, k % share == 0, 0) for k in range(100)]
         assert found[-1] == words
@@ -359,7 +359,7 @@ def test_one_late_cycle_after_a_pause_is_not_too_much(pause: int) -> None:
 
 @pytest.mark.parametrize(("pause", "call", "forgets"), [(1, 0, True), (0, 0, False), (0, 1000, False)])
 def test_a_quarter_of_a_second_without_a_call_forgets_what_was_late(pause: int, call: int, forgets: bool) -> None:
-    """Eleven late cycles before it and eleven behind it are too many in one second; a call that lasts is no pause."""
+    """Eleven late cycles before the pause and eleven after it are too many in 1 s; a long call is not a pause."""
     lateness = Lateness()
     late = [k >= 300 - 33 and k < 300 + 33 and k % 3 == 0 for k in range(600)]
     times = [k * PERIOD + (k >= 300) * (250_000_000 - PERIOD + pause + call) for k in range(600)]
@@ -403,7 +403,7 @@ def test_the_guard_sleeps_until_the_deadline_at_most_two_milliseconds(monkeypatc
     monkeypatch.setattr("armlab.bridge.control.realtime.time", SimpleNamespace(sleep=sleep))
     with Guard(overdue, done.set) as guard:
         assert done.wait(5.0)
-        assert guard._thread.daemon, "a program that ends does not wait for it"
+        assert guard._thread.daemon, "an ending program does not wait for the guard"
         assert guard._thread.name == "armlab guard"
     assert not guard._thread.is_alive()
     assert slept[:2] == [2e-3, 0.5e-3]

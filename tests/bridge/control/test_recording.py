@@ -60,7 +60,7 @@ def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
         state, tick = row(robot, k)
         keep(recording, state, command, tick)
     assert len(recording.table()) == len(odd)
-    assert not recording.events  # the bridge refuses such commands, by a sentence of its own
+    assert not recording.events  # the bridge refuses such commands with its own message
 
 
 def test_a_command_stays_when_what_the_controller_records_does_not_fit(robot: Robot) -> None:

@@ -1,4 +1,4 @@
-"""Sessions: sources, beginning and end, order of packets, clocks, cycle times; and a million mutated datagrams."""
+"""Sessions: sources, start and end, packet order, clocks, cycle times, and a million mutated datagrams."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def test_lost_packets_are_counted_and_dt_grows(feed: Any) -> None:
 
 
 def test_cycles_without_a_packet_are_counted_by_the_robots_clock(feed: Any) -> None:
-    """A simulator on a loaded computer: its numbers have no gap, its clock has."""
+    """On a loaded computer, the simulator's clock has a gap, but its sequence numbers do not."""
     for k in range(30):
         feed(after=(3 if k == 20 else 1) * PERIOD_NS)
         feed.packets.cycle += 2 * (k == 19)
     assert (feed.session.missed, feed.session.skipped) == (0, 2)
     feed.packets()
     feed(after=2 * PERIOD_NS)
-    assert (feed.session.missed, feed.session.skipped) == (1, 2), "a packet that was lost on the way is no such cycle"
+    assert (feed.session.missed, feed.session.skipped) == (1, 2), "a packet lost in transit is not a skipped cycle"
 
 
 def test_the_period_is_measured(feed: Any) -> None:
@@ -150,7 +150,7 @@ def test_other_senders_are_foreign_but_rapid_may_restart_from_another_port(feed:
     feed()
     assert feed(port=5001) is None
     assert feed.raw(b"noise", host="10.0.0.9") is None
-    assert feed(port=5001, seqno=9, after=30_000_000) is None, "after a while one that begins, only"
+    assert feed(port=5001, seqno=9, after=30_000_000) is None, "after a while, only the start of a session is accepted"
     assert feed.session.drops == {"foreign source": 3}
     assert feed.session.source == ("127.0.0.1", 5000)
     feed.session.end()
@@ -174,7 +174,7 @@ def test_each_kind_of_drop_is_told_once_per_session(feed: Any) -> None:
     feed.session.end()
     feed()
     feed.raw(bytes([255] * 40))
-    assert feed.events[-1].endswith(" First bytes: " + " ".join(["ff"] * 32) + "."), "not more than 32 bytes of it"
+    assert feed.events[-1].endswith(" First bytes: " + " ".join(["ff"] * 32) + "."), "at most 32 bytes are shown"
     feed(seqno=0)
     feed.raw(b"\xff")
     assert "unparsable" in feed.events[-1]
@@ -200,7 +200,7 @@ def test_velocity_from_differences_is_filtered_and_converges(feed: Any) -> None:
 
 
 class Forgetful(EgmCodec):
-    """Refuses the first packet after each reset."""
+    """Codec that refuses the first packet after each reset."""
 
     def reset(self) -> None:
         super().reset()
@@ -236,7 +236,7 @@ def packet(packets: Any, **fields: Any) -> Any:
     [
         ((10**18, 100), (10**18 + 4_032_000, 100), 4_100_000, 0.004032),
         ((10**18, 100), (10**18 + 2 * 4_032_000, 100), 8_000_000, 0.008064),
-        # A clock that was set gives way to tm, which wraps after seven weeks; arrival is the last resort.
+        # After the clock is set, tm is used instead (wraps after seven weeks); arrival time is the last resort.
         *(((10**18, 100), (ns, 108), 8_000_000, 0.008) for ns in (10**18 - 1, 10**18, 10**18 + 1_100_000_000, None)),
         ((None, 2**32 - 2), (None, 2), 30_000_000, 0.004),
         ((None, 100), (None, 200), 30_000_000, 0.1),
@@ -256,7 +256,7 @@ def test_dt_between_two_packets(packets: Any, first: Any, second: Any, arrival_n
 
 
 def test_a_tm_too_coarse_for_the_cycle_is_left_alone(packets: Any) -> None:
-    """At 0.5 ms two packets share one tm: counted too, its steps would make the robot's time run faster."""
+    """At 0.5 ms, two packets share one tm; counting its steps as well would make robot time run too fast."""
     clock = RobotClock()
     steps = [clock.step(packet(packets, robot_ns=None, tm_ms=k // 2), 500_000 * k) for k in range(2000)]
     assert sum(step for step in steps if step is not None) == pytest.approx(0.5e-3 * 1999, rel=1e-3)
@@ -272,7 +272,7 @@ def test_the_period_is_the_robots_not_the_gaps() -> None:
         period.add(0.0011)
     assert period.seconds == pytest.approx(0.0011, rel=1e-3)
     period = Period()
-    for k in range(4000):  # a clock in milliseconds gives the mean
+    for k in range(4000):  # a millisecond clock gives the mean
         period.add(1e-3 * (int(4.032 * (k + 1)) - int(4.032 * k)))
     assert period.seconds == pytest.approx(0.004032, rel=0.02)
 
@@ -301,7 +301,7 @@ def test_a_cycle_that_changes_is_relearnt_after_five_packets() -> None:
 def steps(
     packets: Any, claimed_ms: list[float], arrived_ms: list[float], **options: Any
 ) -> tuple[list[float], list[str]]:
-    """Return what is believed of the steps of a clock [ms], and what it says."""
+    """Return the accepted steps of a clock [ms] and its messages."""
     told: list[str] = []
     clock = RobotClock(on_event=lambda text, warn=False, each=False: told.append(text), **options)
     robot_ns, arrival_ns, found = 10**18, 10**12, []
@@ -314,7 +314,7 @@ def steps(
 
 
 def test_a_packet_after_the_timeout_begins_a_session(feed: Any) -> None:
-    """Half a second, whatever its number."""
+    """The timeout is 0.5 s, regardless of the sequence number."""
     numbers = [feed.sample(after=after).session for after in (0, 499_999_999, 500_000_000)]
     assert numbers == [1, 1, 2]
     assert feed.session.missed == 0
@@ -337,7 +337,7 @@ def test_a_reference_advances_by_whole_cycles_where_the_robot_gives_no_exact_tim
 
 
 def clocked(claimed: list[float], arrived: list[float]) -> tuple[list[float], list[int]]:
-    """Return the believed steps [s], and the numbers of the steps at which the clock was reported."""
+    """Return the accepted steps [s], and the numbers of the steps at which the clock was reported."""
     events: list[str] = []
     clock = RobotClock(on_event=lambda text, warn=False, each=False: events.append(text) if warn else None)
     robot_ns, arrival_ns, believed, reported = 10**18, 10**12, [], []
@@ -359,12 +359,12 @@ def test_the_drift_of_a_crystal_is_believed_for_minutes(drift: float) -> None:
 
 @pytest.mark.parametrize(("fast", "expected"), [(1.005, []), (1.02, [22])])
 def test_a_fast_clock_is_reported_once_more_than_20_ms_were_rejected(fast: float, expected: list[int]) -> None:
-    """Of 2 ms per step, 1 ms is excused as 1 % of the time; the first step may lead by 1 ms."""
+    """Of the lead of 2 ms per step, 1 ms (1 % of the time) is tolerated; the first step may lead by 1 ms."""
     assert clocked([0.1 * fast] * 60, [0.1] * 60)[1] == expected
 
 
 def test_a_clock_that_trails_for_ten_seconds_twice_is_reported_as_slow() -> None:
-    """After more than 10 s, which are 21 steps, the arrivals are the new reference."""
+    """After more than 10 s (21 steps), the arrival times become the new reference."""
     assert clocked([0.25] * 60, [0.5] * 60)[1] == [42]
     assert clocked([0.5, *[0.25] * 41], [0.5] * 42)[1] == []
     assert clocked([0.5, *[0.25] * 60], [0.5] * 61)[1] == [43]
@@ -396,7 +396,7 @@ def test_a_clock_without_robot_time_is_not_exact_and_reports_nothing() -> None:
 
 
 def test_the_limits_of_a_period() -> None:
-    """A step of 0.2 ms is a cycle; a step 40 % from the period is none of that period."""
+    """A step of 0.2 ms counts as a cycle; a step that differs from the period by 40 % does not."""
     period = Period()
     for _ in range(9):
         period.add(2e-4)
@@ -425,7 +425,7 @@ def test_a_clock_that_is_not_believed_is_told_once(packets: Any) -> None:
 
 
 def stall(ms: float) -> list[float]:
-    """Arrivals of 400 packets on a network that stands once, and then delivers what waited [ms]."""
+    """Return the arrival intervals [ms] of 400 packets on a network that stalls once, then delivers the backlog."""
     waits = int(ms / 4.0)
     return [4.0] * 100 + [ms] + [0.05] * (waits - 1) + [4.0] * (300 - waits)
 
@@ -462,32 +462,32 @@ def test_duplicates_and_old_packets_are_dropped(feed: Any, seqno: int, reason: s
     assert feed.sample(seqno=8).missed == 0
 
 
-OLD, NEXT = -1, 0  # of a packet that does not count, and of one of the session that is; else packets missed before it
+OLD, NEXT = -1, 0  # ignored packet, next packet of the session; otherwise the number of packets missed before it
 FIFTY = [(k, 60_000 + 4 * k, 1.0, NEXT) for k in range(50)]
 
 
 @pytest.mark.parametrize(
     ("packets", "sessions"),
     [
-        # Number, tm, periods since the packet before, and what is made of it.
+        # Sequence number, tm, periods since the previous packet, expected result.
         ([(7, 0, 1, 0), (7 + 2**16, 4, 1, 2**16 - 1)], 1),
         ([(7, 0, 1, 0), (7 + 2**16 + 1, 4, 1, OLD)], 1),
         ([(2**32 - 1, 2**32 - 2, 1, 0), (0, 2, 1, 0), (3, 14, 1, 2)], 1),
-        # Without a tm number 0 twice in a row is a duplicate, after another number a session, as numbers that go on.
+        # Without tm, a repeated 0 is a duplicate; 0 after another number, or a continuing sequence, begins a session.
         ([(0, None, 1, 0), (1, None, 1, 0), (0, None, 1, 0), (0, None, 1, OLD)], 2),
         ([(0, None, 1, 0), (50, None, 1, 49), (7, None, 3, OLD), (8, None, 3, OLD), (9, None, 3, 0)], 2),
-        # A tm half a turn ahead is one of the past.
+        # A tm ahead by half its range lies in the past.
         ([(5, 0, 1, 0), (6, 2**31, 1, OLD), (6, 2**31 - 1, 1, 0)], 1),
-        # The number of a late packet of the session before may be ahead of ours: only its tm tells.
+        # A late packet of the previous session may have a higher number; only its tm identifies it.
         *(
             ([(0, 1000, 1, 0), (0, 3000, 1, 0), (1, 3004, 1, 0), (seqno, tm, 1, OLD), (2, 3008, 1, 0)], 2)
             for seqno, tm in ((3, 2000), (40, 2000), (0, 1000))
         ),
         # The first packets of eight sessions are remembered.
         ([*((0, 1000 * k, 1, 0) for k in range(1, 11)), (1, 10_004, 1, 0), (0, 2000, 1, OLD), (0, 1000, 1, 0)], 11),
-        # Number 0 with a clock that went back is a robot that restarted; nobody waits for half a second of silence.
+        # Number 0 and a clock that went back mean that the robot restarted, without waiting for 0.5 s of silence.
         *(([*FIFTY, (0, tm, 1, 0), (1, (tm + 4) % 2**32, 1, 0)], 2) for tm in (12, 50_000, 2**32 - 9)),
-        # A first packet that was overtaken by up to 0.1 s begins none.
+        # A first packet that is overtaken by up to 0.1 s begins no session.
         (
             [
                 *[(1, 10_004, 1, 0), (0, 10_000, 1, OLD), (2, 10_008, 1, 0)],
@@ -495,9 +495,9 @@ FIFTY = [(k, 60_000 + 4 * k, 1.0, NEXT) for k in range(50)]
             ],
             3,
         ),
-        # Three that were delayed together begin none: they come within less than a period.
+        # Three packets delayed together begin no session, because they arrive within less than a period.
         ([*FIFTY, (1, 200, 8, OLD), (2, 204, 0.375, OLD), (3, 208, 0.375, OLD), (4, 212, 0.375, 0)], 2),
-        # Packets out of order between others do not add up.
+        # Out-of-order packets scattered among others do not add up.
         ([*FIFTY, (1, 60_004, 1, OLD), (2, 60_008, 1, OLD), (50, 60_200, 1, 0), (3, 60_012, 8, OLD)], 1),
     ],
     ids=range(16),
@@ -510,7 +510,7 @@ def test_which_packets_count(feed: Any, packets: Any, sessions: int) -> None:
 
 
 def fifty(feed: Any) -> None:
-    """Let fifty packets of a session come."""
+    """Feed fifty packets of a session."""
     for k in range(50):
         feed(seqno=k, tm_ms=60_000 + 4 * k)
 
@@ -547,8 +547,8 @@ def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed:
 
 
 DATAGRAMS = 1_000_000
-BLOCK = 1000  # of which the slowest is timed
-WARM = 300  # blocks until everything that is kept has come up
+BLOCK = 1000  # datagrams; the slowest block is timed
+WARM = 300  # blocks until all persistent state has been created
 BAD = [struct.pack("<d", value) for value in (np.nan, np.inf, 1e308)]
 
 
@@ -564,7 +564,7 @@ def good_packet(robot: Robot, codec: RobotSideCodec, k: int) -> bytes:
 
 
 def mutated(rng: random.Random, data: bytes) -> bytes:
-    """One of the ways in which a datagram goes wrong."""
+    """Return the datagram with a random kind of corruption."""
     kind, where = rng.randrange(8), rng.randrange(len(data))
     if kind == 0:
         return data[:where]
@@ -612,17 +612,17 @@ def test_a_million_mutated_datagrams(robot: Robot) -> None:
             reply = answer(data[:at] + rng.randbytes(1) + data[at + 1 :], block * PERIOD_NS + 1)
             if reply is None:
                 continue
-            if not machine.ready:  # three packets of a session: it holds where its feedback is
+            if not machine.ready:  # first three packets of a session: the arm holds at its feedback
                 first = reply
             held += machine.ready
             assert np.abs(reply.q - first.q).max() < 1e-9, "the reference moved"
         slowest = max(slowest, time.perf_counter() - before)
         if block == WARM:
             blocks = sys.getallocatedblocks()
-    assert sys.getallocatedblocks() - blocks < 20_000  # objects of Python, bounded by layouts and sentences
+    assert sys.getallocatedblocks() - blocks < 20_000  # Python objects, bounded by layouts and messages
     assert session.total_drops + session.received == DATAGRAMS + 1
     assert session.total_drops > 0.5 * DATAGRAMS
-    assert slowest < 5.0  # s for a thousand: nothing hangs
+    assert slowest < 5.0  # s per thousand datagrams: nothing hangs
     assert len(told) < 200  # once per kind and session
     assert any(text.startswith("Dropped a datagram from ") for text in told)
     assert session.received > held > 20

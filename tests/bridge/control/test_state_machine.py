@@ -19,7 +19,7 @@ NOT_READY = [{"motors": 2}, {"motors": None}, {"mci": 2}, {"mci": None}, {"rapid
 
 
 class Bench:
-    """A machine fed with packets."""
+    """State machine fed with packets."""
 
     def __init__(self, feed: Any, robot: Robot, limits: Limits | None = None, **options: Any) -> None:
         self.feed, self.robot, self.events = feed, robot, feed.events
@@ -188,7 +188,7 @@ def test_losing_readiness_holds_and_needs_entry_again(bench: Bench, fields: dict
         reply = bench.reply(Command(bench.home), **fields)
     assert [text.partition(":")[0] for text in bench.feed.warnings] == ["The robot is not ready"]
     assert bench.mode is Mode.HOLDING
-    if None in fields.values():  # the arm may be guided still: it comes to rest
+    if None in fields.values():  # the arm may still be guided, so it comes to rest
         assert 0.0 < reply.qd.max() < 0.8
     else:
         np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
@@ -225,7 +225,7 @@ def test_an_arm_that_is_not_ready_while_it_stops_ends_after_the_same_time(bench:
         cycles += 1
     assert cycles == pytest.approx(STOP_TIME / T, abs=1)
     bench.machine.lose("the controller stopped sending", resume=False)
-    assert bench.machine.answer(None, T) is None, "to a packet of the session before"
+    assert bench.machine.answer(None, T) is None, "no reply to a packet of the previous session"
 
 
 def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
@@ -237,11 +237,11 @@ def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     assert bench.machine.answer(Command(bench.home), T) is None
     bench.reply(None, seqno=0, q=bench.home + 0.2)
     assert bench.machine.t == 0.0
-    assert begun == ["again"], "external axes keep no reference of the session before"
+    assert begun == ["again"], "external axes keep no reference of the previous session"
     np.testing.assert_allclose(bench.machine.q_start, bench.home + 0.2, rtol=1e-14)
     assert bench.machine.ready
     bench.reply(None, seqno=0, motors=None, mci=None)
-    assert not bench.machine.ready, "the states of the session before say nothing of this one"
+    assert not bench.machine.ready, "states of the previous session do not apply to this one"
     bench.machine.lose("the motors were switched off", resume=False)
     assert bench.mode is Mode.ENDED
     assert bench.machine.reason == "the motors were switched off"
@@ -264,7 +264,7 @@ def test_implausible_feedback_never_moves(bench: Bench) -> None:
         assert not bench.machine.calls
     assert bench.mode is Mode.ENDED
     assert "or unit" in str(bench.machine.failure)
-    assert bench(None) is None, "the run has ended, whatever the feedback is now"
+    assert bench(None) is None, "the run has ended, regardless of the feedback"
 
 
 def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
@@ -288,7 +288,7 @@ def test_the_first_step_of_a_ready_robot_is_one_period_however_long_nothing_was_
 
 
 def test_times_of_rest_and_of_refusal_are_over_when_they_are_reached(bench: Bench) -> None:
-    """Eighths of a second add up to half a second at rest, and to a second of refusals, without rounding."""
+    """Steps of 0.125 s add up exactly to 0.5 s at rest and to 1 s of refusals."""
     take = bench.feed.sample
 
     def sample(**fields: Any) -> Any:
@@ -347,7 +347,7 @@ def test_three_commands_that_are_not_finite_end_the_run(bench: Bench, bad: float
         reply = bench.reply(Command(np.full(7, bad)))
         assert np.isfinite(reply.q).all()
         assert np.isfinite(reply.qd).all()
-        assert sum("finite" in text for text in bench.feed.warnings) == 1, "the first of those in a row"
+        assert sum("finite" in text for text in bench.feed.warnings) == 1, "only the first in a row is reported"
     assert bench.mode is Mode.STOPPING
     assert isinstance(bench.machine.failure, CommandRefused)
     assert "finite" in str(bench.machine.failure)
@@ -361,7 +361,7 @@ def test_a_hold_or_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None
     assert bench.machine.refused == 6
 
 
-TWO = np.zeros(2)  # one array for two purposes
+TWO = np.zeros(2)  # one array used twice
 
 
 @pytest.mark.parametrize(
@@ -402,7 +402,7 @@ def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> Non
         bench.machine.take_back()
         np.testing.assert_array_equal(bench.see().q_sent, sent.q)
     following = bench.reply(fast)
-    gap = 41 * T  # each of the twenty was seen twice
+    gap = 41 * T  # two packets in each of the twenty cycles
     np.testing.assert_allclose(following.q - sent.q, 3 * T * bench.robot.qd_max.min(), rtol=1e-9)
     np.testing.assert_allclose(following.qd, 3 * T * bench.robot.qd_max.min() / gap, rtol=1e-9)
 
@@ -418,7 +418,7 @@ def test_a_stop_of_which_nothing_goes_out_ends(bench: Bench) -> None:
         bench.reply()
         bench.machine.take_back()
     assert (bench.mode, bench.machine.reason) == (Mode.ENDED, "the time is up")
-    assert bench() is None, "nothing is known of where the arm is"
+    assert bench() is None, "the position of the arm is unknown"
     assert isinstance(bench.machine.failure, LinkError)
     assert str(bench.machine.failure) == bench.feed.warnings[-1]
     assert "got 500 unsent replies" in bench.feed.warnings[-1]

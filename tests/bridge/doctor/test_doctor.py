@@ -1,4 +1,4 @@
-"""Checks of `armlab doctor`: computer and network on their good and bad side, and what comes to a port."""
+"""Checks of `armlab doctor`: passing and failing checks of computer and network, and packets at a port."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ def streaming(*peers: Any) -> Iterator[None]:
 
 
 def listened(number: int, seconds: float = 0.01, robot: Robot | None = None) -> dict[str, Finding]:
-    """What is found at one port, by the second word of its name."""
+    """Return the findings at one port, by the second part of their names."""
     found = listen([number], seconds, [robot], requested=True)
     return {finding.name.partition(", ")[2]: finding for finding in found}
 
@@ -287,7 +287,7 @@ RIGHT = robots.load("yumi_right")
 
 
 class Line:
-    """Packets of a robot at the times of the test."""
+    """Source of robot packets at times set by the test."""
 
     def __init__(self, robot: Robot, heard: EgmListener, robotware: Any = "6.10") -> None:
         self.robot, self.heard = robot, heard

@@ -1,4 +1,4 @@
-"""The newest of every source at each tick: ages, gaps, staleness, clocks."""
+"""The newest reading of every source at each tick: ages, gaps, staleness, clocks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ P = {"p": Column(unit="m")}
 
 
 class Scripted(Source):
-    """Readings at given times; what `newest` returns depends on the time of the tick alone."""
+    """Readings at given times; the result of `newest` depends only on the time of the tick."""
 
     def __init__(self, name: str, times_ns: np.ndarray, clock_ns: int = 0, lost: tuple[int, ...] = (), **options: Any):
         super().__init__(name, P, **options)
@@ -41,7 +41,7 @@ class Scripted(Source):
 
 
 def scripts(seconds: float) -> list[Scripted]:
-    """A force sensor at 1 kHz; a tracker at 30 Hz with jitter, lost frames, and 2 s without any."""
+    """Return a force sensor at 1 kHz, and a tracker at 30 Hz with jitter, lost frames and a gap of 2 s."""
     rng = np.random.default_rng(3)
     force = np.arange(0, int(1e9 * seconds), MS) + rng.integers(0, MS // 20, int(1e3 * seconds))
     frames = np.arange(0, int(1e9 * seconds), 33_333_333)
@@ -54,7 +54,7 @@ def scripts(seconds: float) -> list[Scripted]:
 
 
 def test_ages_of_the_specified_cell() -> None:
-    """Two arms at 4.032 and 4.000 ms look at both: ages, freshness, gaps and staleness are the truth's, to 0.2 ms."""
+    """For two arms at 4.032 and 4.000 ms, ages, freshness, gaps and staleness match the truth to within 0.2 ms."""
     made, fusion = scripts(8.0), [Fusion(scripts(8.0)) for _ in range(2)]
     for one, period in zip(fusion, (4_032_000, 4_000_000), strict=True):
         last: dict[str, int] = {}
@@ -140,7 +140,7 @@ def test_a_reading_that_is_none_does_not_stop_the_loop(wrong: dict[str, Any]) ->
 
 
 def test_a_reading_stamped_in_the_future_is_stale() -> None:
-    """A wall clock in place of the monotonic one: such a reading would be fresh for ever, also when its source died."""
+    """With a wall clock instead of the monotonic clock, a reading would stay fresh even after its source died."""
     told: list[str] = []
 
     class Ahead(Source):
@@ -178,7 +178,7 @@ def test_wrong_sets_of_sources() -> None:
             Fusion(sources)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="role pacing"):
         next(Fusion([TimerSource("a", 0.01, role="optional")]).ticks(0.1))
-    timer = TimerSource("clock", 0.002)  # one that paces gives rows without a robot
+    timer = TimerSource("clock", 0.002)  # a pacing source gives rows without a robot
     timer.start()
     counts = [int(held["clock"]["count"]) for held in Fusion([timer]).ticks(0.1)]
     assert counts == sorted(set(counts))
@@ -195,7 +195,7 @@ OFFSET = 10**15
 def test_the_least_delay_is_the_offset_and_a_drift_is_followed(
     drift: float, least: float, mean: float, count: int, skipped: int, bound: float
 ) -> None:
-    """All but the first are mapped to within the least delay; 100 ppm are a millisecond in the 10 s of its window."""
+    """All stamps but the first are mapped to within the minimum delay; 100 ppm is 1 ms in the window of 10 s."""
     rng = np.random.default_rng(1 if drift == 0.0 else 2)
     clock, errors = ClockMap(), []
     for k in range(count):
@@ -211,7 +211,7 @@ def test_a_clock_that_was_set_is_mapped_anew(step: int) -> None:
     clock = ClockMap()
     for k in range(100):
         late = 80 * MS if k in (50, 51, 52) else 0
-        assert clock.add(4 * MS * k, 4 * MS * k + OFFSET + late) == 4 * MS * k + OFFSET, "a late packet is no step"
+        assert clock.add(4 * MS * k, 4 * MS * k + OFFSET + late) == 4 * MS * k + OFFSET, "a late packet is not a step"
     assert clock.resets == 0
     for k in range(100, 120):
         mapped = clock.add(4 * MS * k + step, 4 * MS * k + OFFSET)
@@ -227,7 +227,7 @@ def test_in_a_run_and_replayed(play: Any) -> None:
         return Command(state.q_start)
 
     class Wrench(Source):
-        """Every third tick a new wrench."""
+        """Source with a new wrench every 3 ms."""
 
         def newest(self) -> Reading:
             k = (self.now_ns - begun) // (3 * MS)
@@ -251,7 +251,7 @@ def test_in_a_run_and_replayed(play: Any) -> None:
 
 
 def test_a_raw_sensor_gives_the_push_alone(robot: Robot) -> None:
-    """0.8 kg on a raw sensor: `State.wrench` is the push, wherever the wrist is; NaN when the sensor is silent."""
+    """Raw sensor with 0.8 kg: `State.wrench` is the push in every wrist orientation; NaN when the sensor is silent."""
     m, c, push = 0.8, np.array([0.01, -0.02, 0.06]), np.array([2.0, -1.0, 3.0, 0.1, 0.2, -0.3])
     bias, p = np.array([5.0, -4.0, 3.0, 0.3, 0.2, 0.1]), np.array([0.0, 0.0, -0.04])
     R_tool_sensor = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

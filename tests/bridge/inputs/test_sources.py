@@ -143,7 +143,7 @@ MS = 1_000_000
 
 
 def recording() -> Table:
-    """Five ticks, 4 ms apart; the tracker's first reading came before the second tick, its next before the fifth."""
+    """Return five ticks 4 ms apart; tracker readings arrived before the second and before the fifth tick."""
     nan = np.nan
     numbers = {
         "age": [nan, 0.001, 0.005, 0.009, 0.002],
@@ -207,7 +207,7 @@ def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
     force(*(PACK.pack(seq, 10 * seq, *np.arange(6.0) + seq) for seq in (3, 4, 7)))
     reading = force.source.newest()
     assert (reading.seq, reading.source_ns, reading.gaps) == (7, 70, 2)
-    assert 0 <= time.monotonic_ns() - reading.receive_ns < 10**9, "when it came, on our clock"
+    assert 0 <= time.monotonic_ns() - reading.receive_ns < 10**9, "arrival time on the local clock"
     np.testing.assert_array_equal(reading.values["wrench"], np.arange(6.0) + 7)
     assert force.source.newest() is reading
     force(PACK.pack(0, 5, *np.zeros(6)))
@@ -217,7 +217,7 @@ def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
 
 @pytest.mark.parametrize("number", ["1" + "0" * 400, "1e400", "NaN", "18446744073709551616", '"1"', "null", "[1]"])
 def test_numbers_beyond_64_bits_are_dropped(number: str) -> None:
-    """Each of them ended a run: the log has them as floats, and stamps are mapped."""
+    """Each of these numbers once ended a run: the log stores numbers as floats, and stamps are mapped."""
     sender = Sender(UdpSource("force", {"p": Column(unit="m")}, 0.001, 0))
     for name in ("seq", "stamp_ns"):
         sender(b'{"p": 1.0, "%s": %s}' % (name.encode(), number.encode()))

@@ -1,4 +1,4 @@
-"""Sockets, and the sentences that parts of a run report."""
+"""Sockets, and the messages reported by the parts of a run."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_stamp_is_the_arrival_not_the_reading() -> None:
     port = Port("127.0.0.1", 0)
     port.send(b"", (port.host, port.port))
     assert arrived(port, 5.0)
-    time.sleep(0.05)  # Linux begins to stamp a moment after the first socket that asks for it
+    time.sleep(0.05)  # Linux starts to stamp arrivals a moment after the first socket requests it
     port.receive()
     port.send(b"", (port.host, port.port))
     assert arrived(port, 5.0)
@@ -79,7 +79,7 @@ def test_a_socket_that_other_code_closed_is_bound_again(is_replaced: bool, tmp_p
     assert arrival.source == address
     assert port.errors == 1
     os.close(port.fileno())
-    assert port.send(b"abc", (peer.host, peer.port)), "also when it sends first"
+    assert port.send(b"abc", (peer.host, peer.port)), "even if the port sends first"
     assert len(lost) == port.errors == 2
     assert peer.errors == 0
     port.close()
@@ -134,7 +134,7 @@ def test_who_has_no_port() -> None:
 
 
 def test_a_listening_socket() -> None:
-    """A port that is taken names its holder; Nagle's algorithm is off, so messages wait for no acknowledgement."""
+    """The error for a port in use names its process; Nagle's algorithm is off, so messages do not wait for an ACK."""
     with listening_socket("127.0.0.1", 0, "left", 2) as listener:
         assert not listener.getblocking()
         port = listener.getsockname()[1]
@@ -188,7 +188,7 @@ SECOND = 10**9
 
 
 def told_of(*said: tuple[str, float], each: bool = False) -> list[tuple[str, int]]:
-    """What is passed on of sentences at times [s], and when it came."""
+    """Return the messages that pass the rate limit, with their stamps, given messages at times [s]."""
     told: list[tuple[str, int]] = []
     limited = Limited(lambda text, warn, stamp_ns: told.append((text, stamp_ns)))
     for text, seconds in said:

@@ -1,4 +1,4 @@
-"""What tests of several servers share: how they wait, and content that clients should not send."""
+"""Shared helpers of the server tests: waiting, and content that clients should not send."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from armlab.state import Command, State
 from ...processes import PATIENCE as PATIENCE
 from ...processes import until as until
 
-WALL = 1_700_000_000_000_000_000  # ns, of the first row
+WALL = 1_700_000_000_000_000_000  # ns, stamp of the first row
 
 
 class Served:
@@ -109,11 +109,11 @@ def cell_of(server: str, settings: str = "", arm: str = 'link = "sim://yumi_left
     return parse_cell(f'name = "yumi"\ncommands = ["{server}"]\n{robot}[servers.{server}]\n{settings}\n')
 
 
-LONGEST = 120.0  # s; only a test that fails runs so long
+LONGEST = 120.0  # s; reached only if a test fails
 
 
 def play(monkeypatch: pytest.MonkeyPatch, cell: Cell, script: Callable[[], None]) -> Any:
-    """Run a cell in this thread and a script of its clients in another; the end of one ends the other."""
+    """Run a cell in this thread and a script of its clients in another; when one ends, the other ends as well."""
     over, obey, failures = threading.Event(), Arbiter.__call__, list[BaseException]()
 
     def obey_or_end(arbiter: Arbiter, state: State) -> Any:

@@ -1,4 +1,4 @@
-"""The hub of server processes and a server's end: neither blocks, both count what they drop, and no stop is lost."""
+"""The hub of server processes and the server end: neither blocks, both count dropped messages, no stop is lost."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Cell:
 
 @pytest.fixture
 def cell(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr("armlab.bridge.servers.hub._PATIENCE", 0.01)  # no server answers but one that is waited for
+    monkeypatch.setattr("armlab.bridge.servers.hub._PATIENCE", 0.01)  # no server answers unless a test waits for it
     with contextlib.closing(Cell()) as made:
         yield made
 
@@ -277,7 +277,7 @@ def test_rows_come_one_by_one_and_texts_before_them_with_them(exchange: Hub) -> 
             came = end.receive(patience) or []
             kinds.append([one["kind"] if isinstance(one, dict) else "row" for one in came])
         assert kinds == [["event", "row"], ["row"], ["row"]]
-        assert end.receive(0.01) == end.receive() == []  # it waits no longer than it is told
+        assert end.receive(0.01) == end.receive() == []  # it waits no longer than requested
 
 
 def test_parameters_and_counts_are_kept_up_to_date(exchange: Hub) -> None:
@@ -316,7 +316,7 @@ def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:
         assert not end.ask(Report("a", "Expected 7 numbers, got 6."))
         assert end.lost == 2
         assert not end.ask(Stop("a"))
-        assert not end.ask(command)  # behind a stop that waits
+        assert not end.ask(command)  # queued behind a waiting stop
         while _received(loop):
             pass
         assert end.receive() == []
@@ -391,7 +391,7 @@ def test_null_is_not_a_number(cell: Cell) -> None:
 
 def test_refused_settings(cell: Cell) -> None:
     cell.exchange.begin(lambda text, *_: cell.told.append(text))
-    cell.exchange.arbiter.stop("x")  # nobody holds, so labcomm has the rights of a commander
+    cell.exchange.arbiter.stop("x")  # no client holds the arm, so labcomm has a commander's rights
     for _ in range(5):
         cell.say("labcomm", "set", values={"gain": -1.0})
     cell.row()

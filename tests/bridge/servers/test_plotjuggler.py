@@ -1,4 +1,4 @@
-"""Datagrams as PlotJuggler reads them, towards this computer and others."""
+"""Datagrams in the format that PlotJuggler reads, sent to this computer and to others."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_one_datagram_per_row_and_nobody_who_listens_is_no_error() -> None:
             reader.close()
             end, refused = time.monotonic() + PATIENCE, 0
             while not refused:
-                assert time.monotonic() < end, "the system told of nothing refused"
+                assert time.monotonic() < end, "the system reported no refused datagram"
                 for k in range(10):
                     exchange.row(state(k), None, Tick(k, -1, k, 0, -1, 0))
                 ((_, refused),) = exchange.summary()["servers"]["plotjuggler"]["clients"].values()

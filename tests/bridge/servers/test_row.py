@@ -1,4 +1,4 @@
-"""Rows as bytes: what goes in comes out, and nothing else is taken for a row."""
+"""Rows as bytes: a lossless round trip, and no other bytes are accepted as a row."""
 
 from __future__ import annotations
 

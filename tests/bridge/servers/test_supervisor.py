@@ -1,4 +1,4 @@
-"""Server processes: started, watched, started again, left dead; and the loop does not notice."""
+"""Server processes: start, supervision, restart and giving up, without any effect on the loop."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ with Servers(Hub([robots.load("ur5e")], ["local"]), {{"local": command}}) as ser
     until(lambda: not path.exists())
 
 
-MESSAGES = 2000  # among which there is a row
+MESSAGES = 2000  # including a row
 
 
 @pytest.mark.slow
@@ -208,7 +208,7 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
     assert "the controller of the run" in answers[0], "who holds the arm"
     sent = run.table["qd_sent"]
     assert sent.max() > 0.04
-    assert np.abs(sent[-10:]).max() < 1e-9, "it came to rest and held"
+    assert np.abs(sent[-10:]).max() < 1e-9, "the arm came to rest and held"
     assert cells() == []
 
 

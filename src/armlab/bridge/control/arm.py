@@ -236,7 +236,7 @@ class ArmSession:
         try:
             if reply is not None:
                 seq, send_ns = self._send(sample, reply)
-        finally:  # also after an error in the codec, which prevents sending
+        finally:  # even after a codec error, which prevents sending
             if reply is not None and not self._went_out:
                 self.machine.take_back(self._left_out)
         given = self._given if self._went_out and command is self._given else None

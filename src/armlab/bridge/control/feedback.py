@@ -19,7 +19,7 @@ _DECAY = 0.125
 
 _OUTSIDE = 0.1  # rad or m beyond the joint limits
 _LAG, _CATCHES_UP = 0.05, 0.2  # s: following error divided by speed, and time constant of its decay
-_RAMP, _RAMP_LAG = 1.0, 0.3  # s: duration and larger lag while EGM ramps in (RampInTime)
+_RAMP, _RAMP_LAG = 1.0, 0.3  # s: duration of EGM's ramp-in (RampInTime), and the larger lag allowed during it
 _FROZEN = 0.1  # s without any change of the feedback
 _STEP, _FASTER = 0.02, 2.0  # largest plausible step: rad or m, plus a multiple of the speed limit
 

@@ -46,7 +46,7 @@ class Limits(Shown):
     tau_rate : array, shape (n,), N m/s or N/s
         Torque rate limits; if None, torque commands are refused.
     external : Limits
-        Limits of the external axes, see `Limits.of_axes`; if None, commands to these axes are refused.
+        Limits of the external axes (see `Limits.of_axes`); if None, commands to these axes are refused.
     following_error : array, shape (n,), rad or m
         Maximum distance between feedback and reference, in excess of 0.05 s times the reference speed; default: `jump`.
     lag : float, s
@@ -125,7 +125,7 @@ class Limits(Shown):
         tau_max : float or array, shape (n,), N m or N
             Torque limits, reached after 0.1 s at the earliest; default: the torque limits of the robot, if known.
         external : Limits
-            Limits of the external axes, see `of_axes`.
+            Limits of the external axes; see `of_axes`.
         following_error : float or array, shape (n,), rad or m
             See `Limits`; default: 0.1 rad, or 0.02 m for prismatic joints.
         lag : float, s

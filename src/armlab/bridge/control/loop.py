@@ -216,7 +216,7 @@ class Loop:
         failure.__cause__ = error
         with suppress(Exception):  # the arms come to rest even if a report fails
             self._stop("the bridge failed", failure)
-        self._pace.machine.failure = self.failure or failure  # also if the arms are already stopping
+        self._pace.machine.failure = self.failure or failure  # even if the arms are already stopping
         with suppress(Exception):
             self._pace.recording.event(str(failure), warn=True)
             self._pace.recording.catch_up()
@@ -231,7 +231,7 @@ class Loop:
         for arm in self._arms:
             arm.record()
         now_ns = time.monotonic_ns()
-        if pending is None or now_ns - self._checked_ns > 1e9 * _CHECK_EVERY:  # also if only one arm is silent
+        if pending is None or now_ns - self._checked_ns > 1e9 * _CHECK_EVERY:  # even if only one arm is silent
             self._checked_ns = now_ns
             for arm in self._arms:
                 arm.supervisor.check_silence(arm.arrived_ns)
@@ -277,7 +277,8 @@ class Loop:
             self._stop("the progress callback failed", failure)
 
     def overdue(self) -> float:
-        """Called by the watchdog: return the time [s] until the controller is overdue, at most 0 if it is overdue."""
+        """Called by the watchdog: return the time [s] until the controller is overdue, or a value <= 0 if it already
+        is."""
         if not self._calling:
             return 1.0
         return 0.0 if self._taken else 1e-9 * (self._deadline_ns - time.monotonic_ns())

@@ -27,7 +27,7 @@ _NEAR = 0.4  # share of the period: more than one tick of a millisecond clock, l
 _WRAP_MS = 2**32
 _SHORTEST = 2e-4  # s between packets; shorter steps are caused by a burst or a wrong clock
 _AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead arrivals (jitter) or trail them (network stall)
-_STAYS = 10.0  # s; a longer lag of robot time means a longer route or a slow clock, not a burst
+_STAYS = 10.0  # s; a longer lag of robot time means a longer network route or a slow clock, not a burst
 _DRIFT = 1e-4  # relative drift of crystal oscillators
 _WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction: rejected robot time above what a delayed first packet can cause
 
@@ -142,9 +142,9 @@ EGM_ERROR = "the controller reported an EGM error"
 """Reason for the end of a session after an error report from the robot controller."""
 
 _SEQUENCES = 2**32
-_HALF = 2**31  # ms; a tm further ahead is in the past
+_HALF = 2**31  # ms; a tm further ahead counts as past
 _FAR = 2**16  # packets ahead, more than are sent during the silence that ends a session
-_FILTER = 30.0  # Hz, low-pass filter of velocities from differences
+_FILTER = 30.0  # Hz, low-pass filter for velocities computed from differences
 _OVERTAKEN_MS = 100  # a first packet that is older by less than this was overtaken in transit and begins no session
 _SILENT_PERIODS = 5  # periods of silence before another port of the same host may begin a session
 _FOLLOWERS = 3  # consecutive out-of-order packets that begin a new session
@@ -226,7 +226,7 @@ class Session:
             self.end()
         foreign = self.active and arrival.source != self.source
         if foreign and not (self.source and arrival.source[0] == self.source[0] and self._is_quiet(arrival)):
-            # RAPID restarts fast: the same host may return from another port once the old port is silent
+            # RAPID restarts fast: the same host may reappear on another port once the old port is silent
             return self._drop(_FOREIGN, arrival)
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):

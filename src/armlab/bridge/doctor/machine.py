@@ -204,7 +204,7 @@ def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
 
 
 def blas() -> Finding:
-    """Report the number of BLAS threads; controller results are reproducible bit by bit only with one thread."""
+    """Report the number of BLAS threads; controller results are bit-for-bit reproducible only with one thread."""
     from threadpoolctl import threadpool_info
 
     pools = [f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info()]

@@ -28,7 +28,8 @@ def nobody(text: str, warn: bool = False, each: bool = False) -> None:
 
 @dataclass(slots=True)
 class _Kind:
-    """Rate limit of one kind: start of the interval, reported events, delayed event and number of replaced events."""
+    """State of the rate limiter for one kind of event: start of the interval, reported events, delayed event and number
+    of replaced events."""
 
     reported_ns: int
     reported: int = 1
@@ -42,7 +43,7 @@ class Limited:
     Events that differ only in numbers and quoted words are of the same kind. The newest event within a second is
     delayed to the end of that second; its text states how many events it replaced. Thus a condition that changes with
     every packet cannot fill the disk, but its last state is always reported. Events with ``each=True`` are limited to
-    fifty per second and kind.
+    fifty of each kind per second.
     """
 
     waiting: int

@@ -29,7 +29,7 @@ from armlab.wire.egm import Drop, Packet
 VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
 TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
-WORDS = 48  # maximum bytes of a commander's name: server, space, 16 hexadecimal digits
+WORDS = 48  # maximum length of a commander's name in bytes: server, space, 16 hexadecimal digits
 NOT_SENT = ("stamp_ns", "wake_ns")  # the row header contains stamp_ns
 
 
@@ -62,7 +62,7 @@ class RowField:
 
     name: str  # for example "yumi_left.q"
     type: str  # "float64", "int64", or "text" (UTF-8, padded with zero bytes)
-    shape: tuple[int, ...]  # for a text, the number of bytes
+    shape: tuple[int, ...]  # for text, the number of bytes
     unit: str  # as in the glossary
     frame: str  # as in the glossary
     labels: tuple[str, ...]  # along the first axis
@@ -179,7 +179,7 @@ class Row(NamedTuple):
     seq: int
     mono_ns: int  # monotonic clock
     wall_ns: int  # wall clock
-    values: Mapping[str, Any]  # read-only arrays, numbers and texts by field name; unpacked on access
+    values: Mapping[str, Any]  # read-only arrays, numbers and strings by field name; unpacked on access
 
 
 class _Values(Mapping[str, Any]):

@@ -108,7 +108,7 @@ class LoopEnd:
                 return True
             room = _URGENT // 2 if isinstance(request, TrajectoryRequest) else _URGENT
             if isinstance(request, Stop):
-                room *= 2  # nothing else replaces a lost stop
+                room *= 2  # no later request replaces a lost stop
             if not isinstance(request, CommandRequest | SetRequest | Report | Renew) and len(self._urgent) < room:
                 self._urgent.append(data)
             else:

@@ -190,8 +190,8 @@ class Servers:
     def _plan(self, child: _Child, what: str) -> None:
         """Schedule the restart of a server that has ended, unless it never listened.
 
-        The restart count is reset once a process has listened for `well` seconds, so only a fault that recurs soon ends
-        the server permanently.
+        The restart count is reset once a process has listened for `well` seconds, so only a fault that recurs soon
+        stops the server permanently.
         """
         outlet = self._exchange.outlets[child.name]
         child.has_listened |= outlet.where is not None
@@ -243,7 +243,7 @@ class Offering:
 
 
 def stoppable(controller: Controller, arbiter: Arbiter) -> Controller:
-    """Wrap a controller so that the arms hold while they are stopped by a client."""
+    """Wrap a controller so that the arms hold position while stopped by a client."""
 
     def controlled(state: State) -> Any:
         arbiter.poll()

@@ -4,8 +4,8 @@
 
 The measurement Z is the pose of b's tool, or the position of a point on it, relative to a's tool. One system of
 equations covers both arms and all samples. Absolute measurements are optional; without them, the pose of each base
-relative to its arm is a convention. The motion of a point on b's tool, in a's tool axes, is the motion due to the
-frames and the base of b minus the motion due to the frames of a.
+relative to its arm is a matter of convention. The motion of a point on b's tool, in a's tool axes, is the motion due to
+the frames and the base of b minus the motion due to the frames of a.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from armlab.lie import se3, so3
 
 NULL = 1e-9  # relative singular value below which a direction is unobservable
 SEEN = 1e-8  # the same limit for candidate directions, which contain rounding errors
-SAME = 0.9  # cosine above which a direction matches a named one
+SAME = 0.9  # cosine above which a direction matches a named direction
 PART = 0.3  # fraction of the largest component above which a component is named
 LITTLE, STILL = 0.35, 1e-3  # motion [rad or m] below which a joint is named as a cause, or counts as at rest
 TURNED, SHIFTED = 0.5, 0.3  # implausible deviations of a link: [rad], and fraction of the reach
@@ -178,8 +178,8 @@ def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
 
 
 def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
-    """Return, for each joint with little motion, the directions that can be moved across the joint to the next
-    frame."""
+    """Return, for each joint with little motion, the directions in which the steps of its two adjacent frames
+    cancel."""
     found = []
     reach = np.ptp(arm.q, axis=0)
     for j in np.flatnonzero(reach < LITTLE):

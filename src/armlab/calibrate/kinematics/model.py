@@ -288,7 +288,7 @@ class KinematicProblem:
         inner, names = arm.gauge(state.arm.frames)
         G = np.zeros((self.size, len(names)))
         G[:a] = inner
-        if self.tool_held:  # motion through the last joint moves the points
+        if self.tool_held:  # gauge motion across the last joint moves the points
             tool = G[6 * arm.n : 6 * arm.n + 6].copy()
             G[6 * arm.n : 6 * arm.n + 6] = 0.0
             for k, point in enumerate(state.points):

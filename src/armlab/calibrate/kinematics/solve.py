@@ -1,4 +1,5 @@
-"""Solution shared by the calibration of one and two arms: start, descent, identifiability, gauge-free covariance."""
+"""Solver shared by single-arm and dual-arm calibration: initial guess, descent, identifiability, gauge-free
+covariance."""
 
 from __future__ import annotations
 
@@ -28,11 +29,11 @@ WEAK = ("refuse", "prior")
 MISFIT = 0.1  # residual, relative to the workspace size or to half a turn, above which samples are inconsistent
 NO_NOISE = 1e-12  # smallest noise [m or rad]
 GAUGE = 1e-6  # component along an unidentifiable direction above which a parameter is not identifiable
-ROUNDING = 1e-9  # motion relative to the largest coordinate that counts as rounding
+ROUNDING = 1e-9  # motion, relative to the largest coordinate, that counts as rounding error
 NOBODY = np.zeros(0, dtype=int)
 FAR = 0.1  # distance [m or rad] from the nominal robot above which the measurement frame is a different frame
-MILLIMETRES = 30.0  # length ratio above which a wrong unit is more likely than a deviating arm
-STILL = 1e-4  # length ratio below which the tool did not move, rather than a wrong unit
+MILLIMETRES = 30.0  # length ratio above which a wrong unit is more likely than a wrong description of the arm
+STILL = 1e-4  # length ratio below which the cause is a stationary tool, not a wrong unit
 
 S = TypeVar("S")
 Value = TypeVar("Value")

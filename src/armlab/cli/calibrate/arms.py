@@ -129,7 +129,7 @@ def dual_arm(
         return measured_rows(read, joints, seen, every=closed)[:-1]
 
     def fit(q_a: np.ndarray, q_b: np.ndarray, *measured: np.ndarray) -> Any:
-        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # without measurements if closed
+        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # a closed chain may have no measurements
         sizes = _noises(noise, list(told) or ["pose"])
         more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
         more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}

@@ -44,7 +44,7 @@ class Samples:
     values: Mapping[str, np.ndarray]  # arrays (N, ...) by name
     source: str  # file name and SHA-256
     units: Mapping[str, str] = field(default_factory=dict)  # units in the file by name
-    start: float = 0.0  # s, time of the file's clock at t = 0
+    start: float = 0.0  # s, time on the file's clock at t = 0
 
     def __contains__(self, name: object) -> bool:
         text = str(name)
@@ -169,7 +169,7 @@ def read_samples(path: Path, columns: str | ColumnNames | None = None) -> Sample
     names = ColumnNames.of(columns) if isinstance(columns, str) else columns
     timed = any(label.split("[")[0].strip() in _CLOCKS for label in labels) or "t" in (names.entries if names else ())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # repeated by the notes of the table
+        warnings.simplefilter("ignore")  # the notes of the table repeat the warnings
         if labels:
             table = text_table(path, None if timed else 1.0, columns=names, keep_start=timed)
         else:
@@ -383,7 +383,7 @@ def _first_times(
         first[i] = row not in seen
         seen.add(row)
     if len(seen) < len(numbers):
-        note(f"{len(numbers) - len(seen)} of {len(numbers)} rows of {name} are duplicates and are used once")
+        note(f"{len(numbers) - len(seen)} of {len(numbers)} rows of {name} repeat earlier rows and are ignored")
     kept = np.flatnonzero(first)
     for part in flat[len(needed) if some else 1 :]:
         held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))

@@ -43,7 +43,7 @@ def fit(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Fit a movement primitive to one or several demonstrations in logs, and save it.
+    """Fit a movement primitive to one or more demonstrations in logs, and save it.
 
     Stationary samples before and after the motion are skipped. Prints the RMS error between the primitive and the
     demonstrations.

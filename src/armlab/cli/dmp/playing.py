@@ -193,7 +193,7 @@ def _joint_motion(
     dmp = law if isinstance(law, Dmp) else law.dmp
     follows = dmp if firm else law if isinstance(law, TwoDofDmp) else TwoDofDmp(dmp)
     start, goal, wanted = run.get("start", dmp.y0), run.get("goal"), run.get("duration", dmp.duration)
-    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # raises for invalid options
+    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # raises an error for invalid options
     pace = wanted / dmp.duration
     seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as requested, or slower
     return PlannedMotion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)

@@ -31,8 +31,8 @@ class ContactPrior:
     """Prior knowledge about the contact.
 
     Attributes:
-        prior_force: Expected size of the force per axis, as a standard deviation [N].
-        prior_moment: Expected size of the moment per axis, as a standard deviation [N m].
+        prior_force: Expected magnitude of the force per axis, as a standard deviation [N].
+        prior_moment: Expected magnitude of the moment per axis, as a standard deviation [N m].
         point: Known contact point in tool axes [m]: x y z, within the length of the arm.
     """
 
@@ -74,7 +74,8 @@ def estimate(
             acceleration. ls, lund, clip, ols: for comparison.
         force_rate: With method kf: expected rate of change of the force.
         bias: With method kf: estimate a friction error per joint, reset after each stop.
-        tare: Initial time during which the arm is at rest without contact [s]. The friction identified during this time
+        tare: Duration of the initial period in which the arm is at rest without contact [s]. The friction identified
+        during this time
             is valid until the arm moves.
         output: Also write the estimate of every row, together with q, qd and tau, to this .mcap (for armlab view) or
             .csv file.

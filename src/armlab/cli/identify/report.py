@@ -114,7 +114,7 @@ def _kept(model: TorqueModel) -> list[str]:
         kept.append(f"ripple of {_joints(np.isin(np.arange(model.n), model.lines.joint))}")
     if model.friction_map is not None:
         mapped = np.any(model.friction_map.coefficients != 0, axis=(1, 2, 3))
-        kept.append(f"friction over position of {_joints(mapped)}")
+        kept.append(f"position-dependent friction of {_joints(mapped)}")
     if model.warm_up is not None:
         kept.append("warm-up")
     return kept

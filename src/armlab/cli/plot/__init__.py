@@ -10,8 +10,7 @@ __all__ = []
 
 plot: App = App(
     name="plot",
-    help="Plot logs, models, robots and movement primitives. The commands have the names of the functions in "
-    "armlab.plots.",
+    help="Plot logs, models, robots and movement primitives. Commands are named after the functions in armlab.plots.",
     help_epilogue="Example: armlab plot torque_fit model.toml excite.mcap -o fit.svg. Prints the path of the figure.",
 )
 

@@ -41,7 +41,7 @@ class FigureFile:
     Attributes:
         output: PNG, SVG or PDF; default: in the folder of the input, named after the input and the figure.
         show: Also show the figure in a window.
-        force: Replace an existing file, and draw a recording of another robot.
+        force: Replace an existing file, and accept a recording of another robot.
     """
 
     output: OptionalOutput = None
@@ -146,7 +146,7 @@ class ModelFigure(LogFigure):
     def log_of(self, model: TorqueModel, log: Path) -> Table:
         """Return the selected part of a log, with its joints in the order of the model's robot."""
         if self.robot is not None:
-            self.robot_of(model)  # raises for another robot
+            self.robot_of(model)  # raises an error for another robot
         return self.read(log, self.robot or model.robot_name, model)
 
     def estimate(self, model: TorqueModel, log: Path) -> Table:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
 SHORTEST = 100  # rows
-LARGE = 50_000_000  # bytes; reading more takes seconds
+LARGE = 50_000_000  # bytes; reading a larger log takes seconds
 FEW = 0.01  # maximum fraction of rows that a fit may skip
 LOST = 1.5  # steps above this multiple of the median are gaps
 

@@ -154,7 +154,7 @@ def ports_in(text: str) -> list[int]:
 
 
 def known_ports(arms: Sequence[Robot]) -> list[int]:
-    """Return a port per arm: from the settings, else 6510 for a single arm and 6511, 6512, ... for several arms."""
+    """Return one port per arm: from the settings, else 6510 for a single arm and 6511, 6512, ... for several arms."""
     from armlab.cli.support.settings import load_settings
 
     known = load_settings().settings.ports

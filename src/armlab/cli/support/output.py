@@ -121,7 +121,7 @@ def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
 def _plain(data: Any) -> Any:
     if isinstance(data, dict):
         return {str(key): _plain(value) for key, value in data.items()}
-    if hasattr(data, "tolist"):  # NumPy, without importing it
+    if hasattr(data, "tolist"):  # a NumPy value, recognised without importing NumPy
         return _plain(data.tolist())
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]

@@ -27,7 +27,7 @@ class Results:
 
     Attributes:
         report: Also write a self-contained .html page with tables and figures, which loads nothing from the network.
-        figure: Also draw the result to this PNG, SVG or PDF file.
+        figure: Also save a figure of the result to this PNG, SVG or PDF file.
         json: Print JSON for scripts.
         force: Replace existing files, save a poor result, and accept a recording or model made with another description
             of the arm. With `identify`: also accept implausible torques.

@@ -2,7 +2,7 @@
 
 The terms are warm-up (if one log lasts 20 minutes or more), torque ripple, and friction as a function of position and
 speed. Each term is fitted per joint to the unfiltered residual of the preceding terms. Ripple with a period above twice
-the spacing of the centres is left to the friction map. Theory: docs/theory/friction.md.
+the spacing of the centres is modelled by the friction map instead. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int =
     for i in range(q.shape[1]):
         speed = np.abs(qd[:, i])
         speed = np.quantile(speed[speed > SLOWEST * peak[i]], levels)
-        apart = np.all(np.diff(speed) > SLOWEST * peak[i])  # constant speeds have equal quantiles
+        apart = np.all(np.diff(speed) > SLOWEST * peak[i])  # the quantiles of a constant speed coincide
         quantiles[i] = speed if apart else peak[i] * levels
     widths, speed_widths = (np.asarray(np.gradient(centres, axis=1)) for centres in (grid, quantiles))
     return RadialBasis(grid, widths, quantiles, speed_widths)

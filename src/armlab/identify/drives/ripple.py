@@ -46,7 +46,7 @@ def ripple_lines(
 ) -> np.ndarray:
     """Return the ripple lines (L,) [cycles per revolution] in the residual of one joint, in ascending order.
 
-    Warns about lines that alias in more than half of the samples.
+    Warn about lines that alias in more than half of the samples.
 
     Parameters
     ----------

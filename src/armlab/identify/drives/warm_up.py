@@ -4,7 +4,7 @@
 
 with c the Coulomb torque of the model. For a given time constant and initial thermal state, x follows from the friction
 power, and all other parameters are linear. The friction power and x converge in three iterations. The model keeps x
-constant within a second, so only sums per second are stored for a log.
+constant within each second, so only per-second sums of a log are stored.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # column index in the sums of each lin
 DEGREE = np.array([0, 0, 0, 0, 1, 1, 0])  # degree in x
 STEPS = 20  # maximum number of Gauss-Newton steps
 SMALL = 1e-6  # convergence limit in standard deviations
-GAIN = 0.02  # minimum share of the variance that warm-up explains
+GAIN = 0.02  # minimum share of the variance that warm-up must explain
 NAMES = ("viscous", "coulomb+", "coulomb-", "offset", "of_viscous", "of_coulomb", "time", "start")
 UNITS = ("N m s/rad", "N m", "N m", "N m", "1", "1", "s", "1")
 

@@ -53,7 +53,7 @@ class _Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: bool = False) -> Table:
-    """Read a text file of ABB test signals, in SI units and kinematic joint order.
+    """Read a text file of ABB test signals and return them in SI units and kinematic joint order.
 
     Degrees, millimetres and ABB's axis order are converted; axes that were not logged are missing (NaN). If the
     controller measures an axis relative to the base (IRB 2400), q still contains joint positions.
@@ -61,10 +61,10 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
     Parameters
     ----------
     path : text file, one line per sample.
-    map : TOML file. ``[columns]`` maps each label to signal, axis and arm. ``time`` is the label of the clock and
-        ``time_unit`` its unit; ``rate`` [Hz] replaces a missing clock. ``separator`` is one character; a space matches
-        any number of spaces. ``skip`` is the number of lines to skip at the start. ``header = false`` declares a file
-        without labels, whose columns are "1", "2", .... ``arm`` sets the arm for all signals.
+    map : TOML file. ``[columns]`` maps each label to a signal, an axis and an arm. ``time`` is the label of the clock
+        and ``time_unit`` its unit; ``rate`` [Hz] replaces a missing clock. ``separator`` is one character; a space
+        matches any number of spaces. ``skip`` is the number of lines to skip at the start. ``header = false`` declares
+        a file without labels, whose columns are "1", "2", .... ``arm`` sets the arm for all signals.
     arm : arm to select if the map has several arms; a library name or a robot file.
     raw : keep rows with non-increasing time; default: drop them, with a note and a warning.
 
@@ -173,8 +173,8 @@ def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) 
 
 
 def _joined(table: Table, robot: Robot, path: Path) -> Table:
-    """Assemble the axes of each signal in the arm's axis order, then convert them to joints."""
-    # On the arm side of the gears, the only remaining coupling is that of a rod that moves two joints.
+    """Assemble the axes of each signal in the arm's axis order, then convert them to joint values."""
+    # On the arm side of the gears, the only remaining coupling comes from a rod that moves two joints.
     behind = replace(robot, coupling=robot.coupling / np.diag(robot.coupling))
     values: dict[str, Any] = {}
     columns: dict[str, Column] = {}
@@ -218,7 +218,7 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     ShapeError, RobotError : `table` is not a table, `robot` is not a `Robot`.
 
     Reference: Robotlib.jl, src/read_log.jl and README. Robotlib's ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques and agrees with
-    the above only for gears without coupling.
+    these formulas only for gears without coupling.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)

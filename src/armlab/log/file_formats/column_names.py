@@ -2,8 +2,8 @@
 
 An entry is ``NAME=SOURCE``, optionally with a factor and a unit: ``tau=current_{1..6}*{11.2,11.2,9.8,4.4,4.4,4.4}``.
 ``{1..6}`` is a range, ``{0..}`` a range up to the last column in the file, and ``{a,b}`` a list. ``{*}`` matches any
-text within one topic; the matched text is the joint name. ``|`` separates alternatives, of which the first existing
-name is used. A source may omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds
+text within one topic; the matched text is the joint name. ``|`` separates alternatives; the first name that exists is
+used. A source may omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds
 ``/joint_states/position[0]``.
 """
 
@@ -59,7 +59,7 @@ _TAIL = re.compile(
 )
 _MOST = 1000  # columns per pattern
 _WRIST = 3  # index of the first of three identical UR drives
-_CORRELATED = 0.7  # minimum accepted correlation between current and moment, after friction is removed from both
+_CORRELATED = 0.7  # minimum accepted correlation between current and target moment after friction is removed from both
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,8 @@ class ColumnNames:
         if len(weak):
             currents = ", ".join(f"actual_current_{k}" for k in weak)
             raise LogError(
-                f"Expected currents that follow target_moment in {path}, got uncorrelated currents in {currents}. Log "
+                f"Expected currents correlated with target_moment in {path}, got uncorrelated currents in {currents}. "
+                f"Log "
                 "a motion that loads these joints, or pass the torque constants [N m/A]: --columns "
                 "'ur,tau=actual_current_{0..5}*{10,10,10,8,8,8}'."
             )
@@ -355,7 +356,7 @@ def _stacked(arrays: Arrays, stem: str) -> np.ndarray | None:
 
 
 def _slope(current: np.ndarray, moment: np.ndarray, qd: np.ndarray) -> float:
-    """Return the torque constant [N m/A]; NaN if current and moment are uncorrelated."""
+    """Return the torque constant [N m/A]; NaN if current and target moment are uncorrelated."""
     whole = np.isfinite(current) & np.isfinite(moment) & np.isfinite(qd)
     friction = np.stack([np.ones(len(qd)), qd, np.sign(qd) * (np.abs(qd) > 1e-3)], axis=1)[whole]
     rest = [x[whole] - friction @ np.linalg.lstsq(friction, x[whole], rcond=None)[0] for x in (current, moment)]

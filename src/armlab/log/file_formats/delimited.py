@@ -1,8 +1,8 @@
-"""Delimited text: `read_csv`, `write_csv`, bounded lines, and ``run.csv.toml`` with column descriptions.
+"""Delimited text: `read_csv`, `write_csv`, bounded line lengths, and ``run.csv.toml`` with column descriptions.
 
 ``t [s],q1 [rad],q2 [rad],grip [N]`` becomes the columns q (N, 2) and grip (N,). Files written by `log.write` are read
-back exactly if their description file is present. Purely numeric text is parsed as JSON without brackets, five times as
-fast.
+back exactly if their description file is present. Purely numeric text is parsed as JSON after brackets are added, which
+is five times as fast.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from armlab.log.file_formats.opening import FIRST, format_of
 from armlab.log.table import Table
 
 LONGEST = 1 << 20
-"""Characters per line: 40 000 numbers at full precision."""
+"""Maximum number of characters per line, enough for 40 000 numbers at full precision."""
 
 # Bytes of decompressed text that are always allowed, and the expansion ratio allowed beyond that. gzip reaches a ratio
 # of 1030, recordings of a resting arm with 300 constant columns reach 154, and recordings of a moving arm reach 25.
@@ -51,7 +51,7 @@ _PIECE = 1 << 16
 
 
 def open_text(path: Path) -> BinaryIO:
-    """Open a text file, compressed or not, with a bounded uncompressed size."""
+    """Open a plain or compressed text file, limiting its uncompressed size."""
     with path.open("rb") as file:
         found = format_of(file.read(FIRST))
     if found not in ("text", "gzip"):
@@ -64,7 +64,7 @@ def open_text(path: Path) -> BinaryIO:
 
 
 def rows_in(path: Path, separator: str) -> Iterator[list[str]]:
-    """Yield the fields of each line of a text file, compressed or not."""
+    """Yield the fields of each line of a plain or compressed text file."""
     try:
         with open_text(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
             yield from csv.reader(_lines(file, path), delimiter=separator)
@@ -86,9 +86,9 @@ def _lines(file: io.TextIOWrapper, path: Path) -> Iterator[str]:
 
 @lru_cache(maxsize=4)  # readers open a file several times
 def _check_unpacked(path: Path, size: int, mtime_ns: int) -> None:
-    """Reject a gzip file that expands far beyond its size, before any of it is parsed."""
+    """Reject a gzip file that expands far beyond its compressed size, before parsing it."""
     bytes_left, lines_left = max(_UNPACKED, _RATIO * size), max(_LINES, size)
-    most = f"{bytes_left} bytes of text, {_RATIO} times its size, and {lines_left} lines"
+    most = f"{bytes_left} bytes of text, {_RATIO} times the file size, and {lines_left} lines"
     with gzip.open(path) as file:
         while piece := file.read(_PIECE):
             bytes_left -= len(piece)
@@ -260,7 +260,7 @@ def _numbered(path: Path, first: Sequence[str], where: ColumnNames | None) -> li
 
 
 def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
-    """Return the fields of the first `count` lines (default: all) of a text file, compressed or not."""
+    """Return the fields of the first `count` lines (default: all) of a plain or compressed text file."""
     return list(islice(rows_in(path, separator), count))
 
 

@@ -24,7 +24,7 @@ from armlab.log.table import Table
 
 Key = TypeVar("Key", bound=Hashable)
 
-_LARGEST = 2**20  # numbers per row, each of which has a heading
+_LARGEST = 2**20  # maximum count of numbers per row; each number has a heading
 
 Progress = Callable[[float, float, str], None]
 """Progress callback (done, total, text)."""
@@ -263,7 +263,7 @@ def _in_si(
         known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
             raise LogError(
-                f"Expected a supported unit for {name!r} in {path}, got {unit!r}. Known: "
+                f"Expected a supported unit for {name!r} in {path}, got {unit!r}. Supported units: "
                 f"{', '.join(u for u in UNITS if u)}."
             )
         if array.dtype.kind == "U":

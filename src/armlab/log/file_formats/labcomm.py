@@ -30,7 +30,7 @@ _PIECE = 1 << 20
 _CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # clock fields of a sample and their units in s
 _WRAP = 1 << 32  # ms, period of tm, which is a signed 32-bit integer
 _BRIDGE = ("robot_row", "command_row")
-_UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of the bridge's samples
+_UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # units of the bridge's samples
 _KINDS = {"b": "flag", "i": "count", "f": "real", "U": "text"}
 _TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "string": np.str_}  # other types are integers
 
@@ -82,7 +82,7 @@ class _Leaf:
 
 
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
-    """Read a LabComm stream, as written by the predecessors' loggers, from a file into a table.
+    """Read a LabComm stream, as written by the loggers of the predecessor software, from a file into a table.
 
     The table has one row per value of the defining sample; values of other samples are held until the next value, and
     are missing before the first. A variable-size array has as many columns as its largest value and is padded with NaN.

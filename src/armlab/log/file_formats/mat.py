@@ -5,7 +5,7 @@ SciPy is not used because it trusts the sizes in a file, so a corrupt file could
 
 HDF5 stores MATLAB's columns as rows, so every array of a v7.3 file is transposed on reading.
 
-In MATLAB, ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n), ``run.units.q``. ``run.names`` holds the
+In MATLAB, ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n) and ``run.units.q``. ``run.names`` holds the
 original names of columns whose names MATLAB does not allow; ``run.armlab`` holds all other metadata as JSON.
 """
 
@@ -36,7 +36,7 @@ _CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
 _NUMERIC = range(6, 16)
 _CLASSES = range(1, 18)
 _COMPLEX = 0x0800
-_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; otherwise, maximum expansion ratio
+_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; above that, the maximum expansion ratio
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
@@ -62,7 +62,7 @@ def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
     at = 0
     while at < len(view):
         if len(view) - at < 8:
-            raise LogError("Expected an element of 8 bytes or more, got the end of the file.")
+            raise LogError("Expected an element of at least 8 bytes, got the end of the file.")
         kind, size = struct.unpack_from(order + "II", view, at)
         start, end = at + 8, at + 8 + size
         if kind >> 16:  # small element: up to 4 bytes of data inside the tag
@@ -153,7 +153,7 @@ def _flags(parts: Iterator[tuple[int, memoryview]], order: str) -> int:
 
 def _check_shape(shape: tuple[int, ...]) -> None:
     if not shape or min(shape) < 0:
-        raise LogError(f"Expected at least one array dimension and none below 0, got {list(shape)[:8]}.")
+        raise LogError(f"Expected at least one array dimension and no negative dimension, got {list(shape)[:8]}.")
 
 
 def _numbers(kind: int, data: memoryview, order: str) -> np.ndarray:

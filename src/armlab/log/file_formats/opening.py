@@ -130,7 +130,7 @@ def opened(path: Path) -> Iterator[memoryview]:
     yield memoryview(mapped)  # the mapping is released with the last array that uses it
 
 
-_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; otherwise, maximum expansion ratio (constant columns)
+_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; maximum expansion ratio above that (constant columns)
 
 
 def check_unpacked_size(path: Path, size: int) -> None:

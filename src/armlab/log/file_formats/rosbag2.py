@@ -150,7 +150,7 @@ def _type(name: str, column: Column, poses: Iterable[str]) -> str:
 
 
 def _encoded(topic: BagTopic, array: np.ndarray) -> np.ndarray:
-    """Return the numbers (N, k) of a column in field order."""
+    """Return the numeric values (N, k) of a column in field order."""
     if topic.type != POSE:
         return array.reshape(len(array), int(np.prod(array.shape[1:], dtype=int)))
     missing = np.asarray(np.isnan(array).all(axis=(1, 2)))
@@ -193,9 +193,9 @@ def _types(name: str) -> cdr.Definitions:
 
 
 STORAGES = ("mcap", "sqlite3")
-VERSION = 8  # last version of metadata.yaml with quality of service as text, which releases before Jazzy need
+VERSION = 8  # last version of metadata.yaml with quality of service as text, which releases before Jazzy require
 BLOCK = 10_000  # rows per block
-LAST = 2**31 * 10**9  # ns: header stamps hold seconds in 31 bits
+LAST = 2**31 * 10**9  # ns: header stamps store seconds in 31 bits
 
 
 def write_rosbag2(

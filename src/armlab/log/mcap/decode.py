@@ -1,9 +1,9 @@
 """Numeric columns of MCAP messages, decoded in blocks of rows that share a layout.
 
 The chunk indexes give the number of messages. The first message of a channel is parsed field by field. Messages with
-the same length and the same non-numeric bytes have the same layout. The numbers of messages with the same layout are
-copied chunk by chunk into arrays of the final size (`Room`). Messages with other layouts are read in blocks of equal
-length (`decode_messages`).
+the same length and the same non-numeric bytes have the same layout. The numeric values of messages with the same layout
+are copied chunk by chunk into arrays of the final size (`Room`). Messages with other layouts are read in blocks of
+equal length (`decode_messages`).
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ Piece = tuple[np.ndarray, Values]
 
 @dataclass(slots=True)
 class Variant:
-    """Layout of messages with equal length and equal bytes in the ranges `fixed`: start, stop and type of each run."""
+    """Layout of messages with equal length and equal bytes in the ranges `fixed`: start, stop and type of each run of
+    numbers."""
 
     first: np.ndarray
     fixed: list[tuple[int, int]]
     runs: dict[Run, tuple[int, int, str]]
 
     def numbers(self, block: np.ndarray) -> Values:
-        """Return the numbers (k, count) of messages (k, length), in the machine's byte order."""
+        """Return the numeric values (k, count) of messages (k, length), in the machine's byte order."""
         found = {}
         for run, (start, stop, dtype) in self.runs.items():
             array = block[:, start:stop].copy().view(dtype)  # the block's memory is reused
@@ -63,8 +64,8 @@ class MessageReader:
 
 @dataclass(slots=True)
 class Read:
-    """Rows (k,) and numbers of the valid messages, grouped by layout; the number of invalid messages; the reason why
-    the first one is invalid."""
+    """Rows (k,) and numeric values of the valid messages, grouped by layout; the number of invalid messages; the reason
+    why the first one is invalid."""
 
     rows: np.ndarray
     pieces: list[Piece]
@@ -190,7 +191,7 @@ def joined(pieces: Iterable[Piece]) -> list[Piece]:
 
 
 def assembled(count: int, pieces: Sequence[Piece]) -> dict[str, np.ndarray]:
-    """Assemble the numbers of several layouts by dotted name; fields that a layout lacks are NaN."""
+    """Assemble the numeric values of several layouts by dotted name; fields that a layout lacks are NaN."""
     if len(pieces) == 1 and np.array_equal(pieces[0][0], np.arange(count)):
         return _split(pieces[0][1])
     if all(found.keys() == pieces[0][1].keys() for _, found in pieces):
@@ -217,7 +218,7 @@ def _filled(count: int, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.nd
 
 
 def _split(values: Values) -> dict[str, np.ndarray]:
-    """Return the numbers of each field path, extracted from the runs of consecutive numbers."""
+    """Return the numeric values of each field path, extracted from the runs of consecutive numbers."""
     fields = {}
     for run, array in values.items():
         at = 0
@@ -234,7 +235,7 @@ _PREFIX = np.dtype(
 
 @dataclass(slots=True)
 class Part:
-    """Messages of one channel in part of a file: sequence numbers (k,), log times (k,) and numbers by layout.
+    """Messages of one channel in part of a file: sequence numbers (k,), log times (k,) and numeric values by layout.
 
     `bad`: number of messages that do not match their type; `reason`: why the first one does not match.
     """
@@ -512,7 +513,8 @@ def message_counts(view: memoryview, found: Contents) -> Counter[int]:
 
 
 def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[Decoded, int, str]:
-    """Join the parts of a channel; also return the number of skipped messages and the first reason."""
+    """Join the parts of a channel; also return the number of skipped messages and the reason for skipping the first
+    one."""
     merged: list[range | Part] = []
     for one in found:
         before = merged[-1] if merged else None

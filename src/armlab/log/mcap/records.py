@@ -12,7 +12,7 @@ from armlab.errors import LogError
 
 _MAX_CHUNK = 1 << 31  # bytes, maximum size of a valid chunk
 _MAX_OPEN = 1 << 28  # bytes, maximum size of an unfinished chunk
-_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; otherwise, maximum expansion ratio (zstd: 15 000)
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; maximum expansion ratio above that (zstd: 15 000)
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 _of_thread = threading.local()
@@ -39,7 +39,7 @@ class Chunk:
 
 
 def most_unpacked(size: int) -> int:
-    """Return the limit on the unpacked size of all chunks of a file [bytes]."""
+    """Return the limit on the total unpacked size of the chunks in a file [bytes]."""
     return max(_UNPACKED, _RATIO * size)
 
 
@@ -148,7 +148,7 @@ DAMAGE = (
 
 @dataclass(slots=True)
 class Channel:
-    """Channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings.
+    """Channel: topic, type, schema and its encoding, message encoding, and a map of strings.
 
     Schema bytes that are not UTF-8, as in protobuf, are escaped as surrogates.
     """
@@ -366,7 +366,7 @@ def _indexed_chunk(view: memoryview, body: int) -> Chunk:
         channel, place = struct.unpack_from("<HQ", view, at)
         kind, length, _, entries = struct.unpack_from("<BQHI", view, place)
         if kind != MESSAGE_INDEX or entries + 6 != length or entries % 16:
-            raise LogError(f"Expected an index of messages at byte {place}, got a record of kind {kind}.")
+            raise LogError(f"Expected a message index at byte {place}, got a record of kind {kind}.")
         chunk.indexes[channel] = (place + 15, place + 15 + entries)
     return chunk
 

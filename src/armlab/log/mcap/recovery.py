@@ -18,7 +18,7 @@ from armlab.log.mcap.writer import McapWriter
 
 @contextlib.contextmanager
 def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
-    """Open a file under a temporary name; rename it after success, remove it otherwise."""
+    """Open a file under a temporary name; rename it on success, or remove it on failure."""
     try:
         file = part.open("xb", buffering=0)  # "x" never overwrites an existing file, which may be the input
     except OSError as error:
@@ -100,7 +100,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
 
 
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
-    """Write everything readable; return the message count, lost chunks, and duration [s], excluding events."""
+    """Write all readable data; return the message count, lost chunks, and duration [s], excluding events."""
     writer = McapWriter(file, found.profile, found.library)
     for name, pairs in found.metadata.items():
         writer.metadata(name, pairs)

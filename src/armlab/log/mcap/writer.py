@@ -94,7 +94,7 @@ class _Index:
 
 
 class McapWriter:
-    """Writes an MCAP file with zstd chunks, message indexes and a summary."""
+    """Writer of an MCAP file with zstd chunks, message indexes and a summary."""
 
     def __init__(self, file: _WritableFile, profile: str, library: str) -> None:
         import zstandard
@@ -244,7 +244,7 @@ class McapWriter:
     def _put(self, data: bytes) -> None:
         try:
             _write_all(self._file.write, data)
-        except BaseException:  # readers would take a partial write for messages missing from the index
+        except BaseException:  # readers would mistake a partial write for messages missing from the index
             with contextlib.suppress(OSError):
                 self._file.truncate(self._at)
             raise

@@ -76,7 +76,7 @@ def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
 
 
 def sources_of(found: Contents, clock: int) -> dict[str, Source]:
-    """Return the location of each column of the clock channel's robot."""
+    """Return the location of each column of the robot that the clock channel belongs to."""
     prefix = found.channels[clock].topic.rpartition("/")[0] + "/"
     sources: dict[str, Source] = {}
     for number, channel in sorted(found.channels.items(), key=lambda item: item[0] == clock):  # clock last
@@ -144,7 +144,8 @@ def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.nd
 
 
 def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock: str) -> tuple[int, str]:
-    """Return the wall-clock time at t = 0 [ns] and the clock name of a column `t`; default: the given values."""
+    """Return the wall-clock time at t = 0 [ns] and the clock name of a column `t`; values that are not stored default
+    to those given."""
     about = found.channels[sources["t"].channel].metadata if "t" in sources else {}
     return int(about.get(T0_KEY, t0_ns)), about.get(CLOCK_NAME_KEY, clock)
 
@@ -194,7 +195,7 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:
-    """Return a note on the data recovered from an unfinished file, and how to repair it."""
+    """Return a note on the data recovered from an unfinished file, and on how to repair the file."""
     seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
     return (
         f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes truncated; "

@@ -75,7 +75,7 @@ class PersistentFile:
         return Descriptor(number)
 
 
-MAX_CHUNK_ROWS = 250  # one second at 250 Hz: maximum loss from a corrupt chunk, even after a stall
+MAX_CHUNK_ROWS = 250  # one second at 250 Hz, the maximum loss from a corrupt chunk, even after a stall
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 

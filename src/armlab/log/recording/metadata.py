@@ -172,7 +172,8 @@ def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot
 
 @cache
 def revision(folder: Path) -> str:
-    """Return the commit of the folder's git repository, with + if files were modified; "" without a repository."""
+    """Return the commit of the folder's git repository, followed by + if files were modified; "" without a
+    repository."""
     words = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     try:
         alone = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}  # read-only access
@@ -207,7 +208,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Parameter change; `sequence` is 0 for the initial value, `who` is the author."""
+    """Parameter change; `sequence` is 0 for the initial value, and `who` is the author."""
 
     stamp_ns: int
     sequence: int
@@ -246,7 +247,7 @@ class Inspection:
 
 
 def inspect(path: str | Path) -> Inspection:
-    """Return metadata, topics, events, attachments and the summary of an MCAP file, finished or unfinished.
+    """Return the metadata, topics, events, attachments and the summary of an MCAP file, finished or unfinished.
 
     Raises
     ------

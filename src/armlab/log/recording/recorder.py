@@ -27,12 +27,12 @@ from armlab.log.table import Table
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-_TAIL_RATE = 500.0  # rows per second in a Tail; EGM's fastest rate is 250
+_TAIL_RATE = 500.0  # rows per second in a Tail; EGM's highest rate is 250
 _TAIL_ROWS = 1 << 40  # exceeds any memory
 
 
 class Log:
-    """In-memory log of the standard and the user-defined columns, which grows without copying.
+    """In-memory log of the standard and the user-defined columns; grows without copying.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ class Log:
     def push(self, **values: Any) -> None:
         """Append one row by column name; omitted values are missing.
 
-        The field names of the predecessor's logs (pos vel trq pos_o vel_o trq_o timestamp seqnum) are accepted as
-        aliases. `t` is the row's time [s], given for all rows or none; default: the time of the call.
+        The field names of logs from the predecessor software (pos vel trq pos_o vel_o trq_o timestamp seqnum) are
+        accepted as aliases. `t` is the row's time [s], given for all rows or none; default: the time of the call.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class Syncing:
 WRITE_PERIOD = 0.04  # s, maximum loss in a process crash
 FLUSH_PERIOD = 0.8  # s, maximum loss in a power failure
 QUEUE_ROWS = 2500  # 10 s at 250 Hz
-MANY_ROWS = 1250  # queued rows that are written immediately
+MANY_ROWS = 1250  # number of queued rows that triggers an immediate write
 MOST_COMPLAINTS = 100
 
 
@@ -383,8 +383,8 @@ class Recorder:
             self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event unless it repeats an earlier one; a limit on their number keeps varying messages from filling
-        the disk."""
+        """Write an event unless it repeats an earlier one; the number of events is limited, so that changing messages
+        cannot fill the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

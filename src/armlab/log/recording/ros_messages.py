@@ -35,7 +35,7 @@ _OWN_TYPES = {
 }
 WRENCH_FIELDS = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
 _ESTIMATE = {"wrench_hat": ("wrench",), "wrench_hat_cov": ("covariance",)}
-_RAW = ".wrench_raw"  # suffix of a force sensor's column in its own axes, after the name of its source
+_RAW = ".wrench_raw"  # suffix, after the source name, of the column with a force sensor's readings in sensor axes
 POSE_FIELDS = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientation.{axis}" for axis in "xyzw")
 
 

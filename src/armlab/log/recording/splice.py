@@ -27,7 +27,7 @@ from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column
 from armlab.log.recording.rows import Slot
 
 _SECONDS = struct.Struct("<4sIIIB3xI4xd")  # message of the column t: stamp, empty frame name, one number
-_NUMBERS = 1 << 32  # number of sequence numbers in MCAP
+_NUMBERS = 1 << 32  # number of distinct sequence numbers in MCAP
 _NEVER = (1 << 63) - 1
 
 
@@ -384,7 +384,7 @@ def _write(to: Path, sources: list[Source], operation: str, progress: Progress |
         writer.attach(max(source.end_ns for source in sources), _SUMMARY, "application/json", data)
         writer.finish()
     if lost:
-        warnings.warn(f"{lost} corrupt chunks are missing in {to.name}", stacklevel=3)
+        warnings.warn(f"{lost} corrupt chunks are missing from {to.name}", stacklevel=3)
 
 
 def _register(writer: McapWriter, sources: list[Source]) -> None:

@@ -29,7 +29,8 @@ _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
 ) -> tuple[decode.Decoded, int, str]:
-    """Decode messages (sequence, log time, bytes); also return the number of skipped messages and the first reason."""
+    """Decode messages (sequence, log time, bytes); also return the number of skipped messages and the reason for
+    skipping the first one."""
     sequence: list[int] = []
     log_ns: list[int] = []
     columns: dict[str, tuple[list[int], list[Any]]] = {}
@@ -301,7 +302,8 @@ def _signed(description: Any) -> Any:
 def _decoded(
     raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: decode.MessageReader
 ) -> tuple[decode.Decoded, int, str]:
-    """Decode messages in memory; also return the number of skipped messages and the first reason."""
+    """Decode messages in memory; also return the number of skipped messages and the reason for skipping the first
+    one."""
     whole: list[bytes] = []
     kept: list[int] = []
     reason = ""

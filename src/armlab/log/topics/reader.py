@@ -1,4 +1,4 @@
-"""Reader for logs from other programs, which selects topics and converts their streams to tables."""
+"""Reader for logs from other programs: selects topics, and converts their streams to tables."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
 SPACINGS = ("time", "phase")
 SCALINGS = ("goal", "none", "amplitude", "rotate")
-ROUNDING = 1e-12  # motion of a coordinate, relative to the largest value, below which it is rounding
+ROUNDING = 1e-12  # motion of a coordinate, relative to the largest value, below which it counts as rounding error
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
 
 UNSCALED = 0.05  # displacement, relative to the demonstrated range, up to which the goal does not scale a coordinate
@@ -32,7 +32,7 @@ def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[fl
 
 
 def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and widths (n_basis,) of the kernels along the phase.
+    """Return the centres and widths (n_basis,) of the kernels along the phase.
 
     Spacing "time" is uniform in time; each width is `factor` times the distance between centres. Spacing "phase" is
     uniform in the phase, as in DynamicMovementPrimitives.jl. The phase ends at exp(-decay), with decay = alpha_x

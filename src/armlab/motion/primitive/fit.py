@@ -51,7 +51,8 @@ def fit_dmp(
 ) -> Fit[Dmp]:
     """Fit a movement primitive to one or several demonstrations.
 
-    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and the free ends. The problem is linear and needs no
+    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and any free start, start velocity or goal. The "
+    "problem is linear and needs no
     derivatives of measurements; with schedule "position", it becomes nonlinear and is solved by Gauss-Newton.
     "acceleration" minimises ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)``
     from central differences. "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``.
@@ -71,7 +72,7 @@ def fit_dmp(
     ridge : penalty on the squared weights; `cov` accounts for the noise, but not for the bias due to the penalty.
     pin : names among "y0", "v0" and "g" that are taken from the first and last samples instead of fitted. The effect
         of a fitted goal is nearly indistinguishable from that of the forcing term.
-    hold : standstill time at the goal after the end, divided by the duration of the motion; 0 if the motion does not
+    hold : standstill time at the goal after the motion, divided by the duration of the motion; 0 if the motion does not
         end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.
     sample_weights : (N,) non-negative sample weights, or a list of such arrays.

@@ -208,7 +208,7 @@ def advance(dt: float, *steppers: Any) -> list[Any]:
     try:
         return [one.step(dt) for one in steppers]
     except TypeError:
-        number(dt, "dt [s]")  # raises with a clear message
+        number(dt, "dt [s]")  # raises an error with a clear message
         raise
 
 

@@ -18,21 +18,21 @@ FINE = 1000  # minimum number of integration steps of the response over a durati
 
 MAX_ITERATIONS = 20
 TOLERANCE = 1e-6  # relative decrease of the error below which the iteration stops
-STEP = 1e-6  # fraction of the largest weight, for numerical derivatives
-DAMPING = 1e-8  # relative to the mean square of a column
+STEP = 1e-6  # step for numerical derivatives, as a fraction of the largest weight
+DAMPING = 1e-8  # damping, relative to the mean square of a column
 
 
 @dataclass(frozen=True)
 class Learned:
-    """Fitted weights with ends and statistics."""
+    """Fitted weights, end values (start, velocity, goal) and statistics."""
 
     weights: np.ndarray  # (m, n)
     ends: np.ndarray  # (M, 3, n) y0, v0, g of each demonstration
-    unit: np.ndarray  # (n, d, d) covariance of the weights, and of fitted ends, for unit noise variance
+    unit: np.ndarray  # (n, d, d) covariance of the weights, and of fitted end values, for unit noise variance
     sigma: np.ndarray  # (n,) standard deviation of the noise
     residuals: np.ndarray  # (N, n) of position or forcing
     triangle: np.ndarray  # triangular factor of the equations for the unknowns
-    unknowns: tuple[int, ...]  # indices among weights and ends
+    unknowns: tuple[int, ...]  # indices among weights and end values
     of_position: bool
     scales: np.ndarray  # (M, n)
 
@@ -141,11 +141,11 @@ def _motion_rows(problem: WeightProblem, demo: Demo) -> _MotionRows:
 
 
 def fit_trajectory(problem: WeightProblem) -> Learned:
-    """Fit the weights shared by M demonstrations, and the ends of each, to their trajectories.
+    """Fit the weights shared by M demonstrations, and the start, velocity and goal of each, to their trajectories.
 
     The problem is linear and needs no derivatives of measured positions, because the motion is ``y = Y [w; y0; v0; g]``
-    with the response Y to each unknown. A pinned end is a linear function of the samples, so its noise is included in
-    the covariance.
+    with the response Y to each unknown. A pinned end value is a linear function of the samples, so its noise is
+    included in the covariance.
     """
     parts = [_motion_rows(problem, demo) for demo in problem.demos]
     free = [k for k, name in enumerate(ENDS) if name not in problem.pinned and name not in problem.known]
@@ -195,7 +195,8 @@ def _solve_block(
 def _covariance(
     A: np.ndarray, G: np.ndarray, parts: list[_MotionRows], heights: np.ndarray, places: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return the covariance of weights and ends for samples of unit variance, and the residual degrees of freedom.
+    """Return the covariance of weights and end values for samples of unit variance, and the residual degrees of
+    freedom.
 
     The unknowns are ``x = G A^T y``, where y contains all samples except the three samples that pin the ends and thus
     shift every row.
@@ -222,7 +223,7 @@ def _covariance(
 
 
 def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return phase, ``f = tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)`` and start velocity of demonstration k.
+    """Return the phase, ``f = tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)`` and start velocity of demonstration k.
 
     The phase is (N,), or (N, n) with one phase per coordinate.
     """
@@ -279,7 +280,7 @@ class _ForcingRows:
 
 
 def _least_squares(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.ndarray, ...]:
-    """Return weights, unit covariance, triangular factor and sums of squares."""
+    """Return the weights, unit covariance, triangular factor and sums of squares."""
     roots, m, (N, q), ridge = np.sqrt(rows.weights), rows.blank.n_basis, rows.f.shape, problem.ridge
     penalty = np.full(m, ridge) if ridge else None
     height = rows_needed(N, m, penalty)
@@ -309,7 +310,7 @@ def _kernel_by_kernel(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.nd
 def gauss_newton(
     run: Callable[[np.ndarray], np.ndarray], y: np.ndarray, roots: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return weights (m, n), inverses of the normal matrices (n, m, m) and residuals (N, n), by Gauss-Newton.
+    """Return the weights (m, n), inverses of the normal matrices (n, m, m) and residuals (N, n), by Gauss-Newton.
 
     `run` maps weights (K, m, n) to motions (N, K, n). Coordinates are independent, so one weight of each coordinate is
     perturbed at the same time; `roots` (N,) are square roots of the sample weights.
@@ -388,7 +389,7 @@ def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = N
     scale = np.where(norms > 0, norms, 1.0)
     scaled = R / scale
     if trcon(scaled)[0] > RCOND:
-        inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # equal to the scaled solve up to rounding
+        inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # equal to the solution of the scaled equations, up to rounding
     else:
         U, s, V = np.linalg.svd(scaled)
         identified = s > RCOND * s[0]

@@ -21,7 +21,7 @@ MOST_PARTS = 2000  # links or joints per file; a humanoid with two hands has 150
 LARGEST = 1e9  # limits of at least this value mean unlimited; other numbers of this size are rejected
 
 DEEPEST = 64  # nesting of elements; URDF needs 5
-MOST_BYTES, MOST_ELEMENTS = 1 << 24, 100_000  # a humanoid with two hands has 200 kB and 3000
+MOST_BYTES, MOST_ELEMENTS = 1 << 24, 100_000  # a humanoid with two hands has 200 kB and 3000 elements
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _LIMIT = re.compile(rf"{_NUMBER.pattern}|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _EXPAND = "Expand the file first: xacro robot.xacro > robot.urdf."
@@ -249,7 +249,7 @@ class Element:
 
 
 def parse_xml(data: str | bytes, file: str) -> Element:
-    """Return the root element of XML of limited size and depth; reject document types, entities and xacro."""
+    """Return the root element of an XML text of limited size and depth; reject document types, entities and xacro."""
     if len(data) > MOST_BYTES:
         raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")
     parser = expat.ParserCreate()

@@ -488,7 +488,7 @@ def _check_joint(tree: Tree, joint: Joint) -> None:
         raise fault(tree, joint, f"lower below upper in joint {joint.name!r}", got, advice)
     if joint.qd_max < 0 or joint.tau_max < 0:
         got = f"velocity {joint.qd_max:g} and effort {joint.tau_max:g}"
-        raise fault(tree, joint, f"non-negative limits of speed and effort of joint {joint.name!r}", got)
+        raise fault(tree, joint, f"non-negative speed and effort limits of joint {joint.name!r}", got)
 
 
 def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np.ndarray | None, list[str]]:

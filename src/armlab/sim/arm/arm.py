@@ -480,8 +480,8 @@ def record(
 
     Raises
     ------
-    ConfigError : the jitter is half a period or more, which could reverse the order of the time stamps.
-    ShapeError : the motion has the wrong number of joints, or the wrench has the wrong shape.
+    ConfigError : if the jitter is half a period or more, which could reverse the order of the time stamps.
+    ShapeError : if the motion has the wrong number of joints, or the wrench has the wrong shape.
     """
     from armlab.log import Table  # lazy import, because `armlab sim` does not need it
 

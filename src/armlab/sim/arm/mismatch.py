@@ -9,7 +9,7 @@ own random stream, so changing one parameter does not affect the errors of the o
     sensors    elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: readings
     recording  jitter, lost: time stamps and samples
 
-The fields are options of ``armlab sim``, whose help loads this file; NumPy is therefore imported only to draw errors.
+The fields are options of ``armlab sim``, whose help loads this file; NumPy is imported only to draw random errors.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class Mismatch(Shown):
 
     Raises
     ------
-    ConfigError : a value is negative or not finite; a relative error, relative reduction, `load_friction` or `lost` is
-        1 or more.
+    ConfigError : if a value is negative or not finite; a relative error, relative reduction, `load_friction` or `lost`
+        is 1 or more.
     """
 
     base_turn: float = 0.0

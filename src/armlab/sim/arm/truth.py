@@ -130,7 +130,7 @@ class _Sizes:
 _YUMI = _Sizes(
     mass=(1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.2),
     tau_max=(40, 40, 25, 25, 10, 10, 5),
-    rotor=(0.1,) * 7,  # 1e-5 kg m^2 times the squared gear ratio of 100
+    rotor=(0.1,) * 7,  # 1e-5 kg m^2 times the square of the gear ratio 100
     radius=0.045,
     shortest=0.06,
 )
@@ -191,7 +191,7 @@ def synthetic_truth(robot: Robot) -> Truth:
 
     Raises
     ------
-    RobotError : `robot` is not a `Robot`, or has no masses.
+    RobotError : if `robot` is not a `Robot`, or has no masses.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -242,7 +242,7 @@ ROTOR_ACCELERATION = 100.0  # rad/s^2 or m/s^2: acceleration of the drive alone 
 GEAR, SPINDLE = 100.0, 600.0  # default transmission ratios: gear, and spindle with 10 mm lead [rad/m]
 HOLDING = 3.0  # ratio of the torque limit to the torque required to hold the outstretched arm
 SHORTEST_LEVER = 0.02  # m
-WEAKEST = 0.05  # assumed minimum ratio of a holding torque to the largest
+WEAKEST = 0.05  # assumed minimum holding torque, relative to the largest
 
 
 def _torque_limits(robot: Robot) -> np.ndarray:
@@ -253,7 +253,7 @@ def _torque_limits(robot: Robot) -> np.ndarray:
     centre = np.linalg.norm(inertia.to_body(robot.inertias).centre, axis=1)
     strokes = np.where(robot.prismatic, np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0), 0.0)
     along = np.cumsum(np.linalg.norm(robot.links[:-1, :3, 3], axis=1) + strokes)
-    reach = np.maximum(along + centre - along[:, None], SHORTEST_LEVER)  # (joint, mass): sum of link lengths between
+    reach = np.maximum(along + centre - along[:, None], SHORTEST_LEVER)  # (joint, mass): link lengths between them
     beyond = np.triu(np.ones((robot.n, robot.n)))
     hold = g * np.where(robot.prismatic, beyond @ mass, (beyond * reach) @ mass)
     least = WEAKEST * hold.max() / np.where(robot.prismatic, max(float(along[-1]), 0.1), 1.0)

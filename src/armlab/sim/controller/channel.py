@@ -21,13 +21,13 @@ from armlab.wire.egm.robot_side import SensorMessage
 _LARGEST = 65535
 _DRAINED = 64  # maximum number of datagrams read per cycle, even in a flood
 _SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; Python's socket module lacks the constant
-_LOOK = 0.25  # s between checks whether to keep waiting
+_LOOK = 0.25  # s between checks on whether to keep waiting
 _FIRST = 0.5  # s to wait for the first reply to a stream, after which the peer counts as a listener
 _REFUSED_PAUSE = 0.05  # s before a packet is resent to a port that is not bound yet
 
 
 class UdpClient:
-    """One controller and its socket, which sends `phase` seconds after the common start of the cycle."""
+    """One controller and its socket; it sends packets `phase` seconds after the common start of the cycle."""
 
     controller: SimulatedController
     phase: float
@@ -131,7 +131,7 @@ class UdpClient:
         return True
 
     def _listens(self) -> float:
-        """Return how long [s] to wait for a peer that may only listen; infinite if the peer must answer."""
+        """Return the time [s] to wait for a reply from a peer that may only listen; infinite if it must reply."""
         if self._has_answered or self.controller.phase != "streaming":
             return math.inf
         first, self._is_first = self._is_first, False
@@ -201,9 +201,9 @@ class Faults:
     def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
         self._rates, self._period = rates, period
         self._random = np.random.default_rng(seed)
-        self._under_way: list[tuple[float, int, tuple[int, bytes]]] = []  # (time when due, order of arrival, item)
+        self._under_way: list[tuple[float, int, tuple[int, bytes]]] = []  # (due time, order of arrival, item)
         self._order = self._losing = 0
-        share, length = rates.loss, rates.burst  # probability that a burst begins, for the overall share `loss`
+        share, length = rates.loss, rates.burst  # probability that a burst begins, for an overall loss of `loss`
         self._begins = share / (length - share * (length - 1)) if share else 0.0
 
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:

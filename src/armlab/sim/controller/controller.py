@@ -230,7 +230,7 @@ class ReplyQueue:
     def _find(self, message: SensorMessage) -> tuple[str, Sent | None]:
         if message.echo_mono_ns or message.echo_seq:
             return "echo", next((sent for sent in reversed(self._sent) if sent.seq == message.echo_seq), None)
-        if message.tm_ms:  # abb_libegm sends 0, Python clients omit it
+        if message.tm_ms:  # abb_libegm sends 0; Python clients omit it
             same = [sent for sent in self._sent if sent.tm_ms == message.tm_ms]
             return "tm", next((sent for sent in same if not sent.answered), same[-1] if same else None)
         if self._ordered < 0:  # the first reply of a session may be late, and the last packet unsent
@@ -487,7 +487,7 @@ class SimulatedController:
         self._enter("failing")
 
     def _no_data(self) -> None:
-        if self._answered or self.session == 1:  # without a peer, this would repeat
+        if self._answered or self.session == 1:  # without a peer, this event would repeat
             self._event(*_NO_DATA)
         self._answered = False
         self._enter("paused")

@@ -17,7 +17,7 @@ _CATCH_UP = 25  # cycles in which the arm moves without packets after a stall
 class Timing:
     """Time base of a run: each cycle waits for its reply in lockstep, and for the clock in real time.
 
-    `seconds`: robot time at which the run ends [s]. `patience`: timeout of a reply in lockstep, after which the session
+    `seconds`: robot time at which the run ends [s]. `patience`: reply timeout in lockstep, after which the session
     ends [s]. `gone`: duration of silence after which a lockstep run ends [s].
     """
 

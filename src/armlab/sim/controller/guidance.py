@@ -87,7 +87,7 @@ class Guidance:
         return ""
 
     def refusal(self, q_ref: np.ndarray) -> str:
-        """Return which joint's received reference is out of bounds, or an empty string."""
+        """Return a phrase that names the joint whose received reference is out of bounds, or an empty string."""
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 

@@ -424,7 +424,7 @@ def _delete(box: VirtualController, asked: _Request) -> None:
         raise Rejected("file")
 
 
-_ROUTES: tuple[tuple[str, str, str, _Answer], ...] = (  # method, RWS 1.0 with its action, RWS 2.0, answer
+_ROUTES: tuple[tuple[str, str, str, _Answer], ...] = (  # method, RWS 1.0 path with its action, RWS 2.0 path, handler
     ("GET", "/rw/system", "/rw/system", _system),
     ("GET", "/rw/panel/opmode", "/rw/panel/opmode", lambda b, _: [_state("pnl-opmode", "opmode", opmode=b.mode)]),
     (

@@ -86,7 +86,7 @@ class ControllerSettings:
 
     Raises
     ------
-    ConfigError : for a value outside its range.
+    ConfigError : if a value is outside its range.
     """
 
     period: float = 0.0
@@ -157,7 +157,7 @@ class FaultRates:
 
     Raises
     ------
-    ConfigError : for a probability outside [0, 1], a time that is negative or not a number, or a burst below 1.
+    ConfigError : if a probability is outside [0, 1], a time is negative or not a number, or a burst is below 1.
     """
 
     loss: float = 0.0

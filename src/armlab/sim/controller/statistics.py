@@ -11,7 +11,7 @@ import numpy as np
 from armlab.wire.egm import Drop
 
 _WARM_UP = 1.0  # s; excluded from the timing statistics, because a peer's first replies may be slow
-_KEPT = 100_000  # number of latest times used to compute quantiles
+_KEPT = 100_000  # number of most recent times used for the quantiles
 
 
 class ControllerEvent(NamedTuple):

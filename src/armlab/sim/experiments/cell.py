@@ -40,7 +40,7 @@ class CalibrationCell(Shown):
         robot: tuple[float, float] | None = None,
         wrong: int = 0,
     ) -> Poses:
-        """Draw robot poses A and marker poses B in the camera frame, with ``A X = Y B``.
+        """Generate robot poses A and marker poses B in the camera frame, with ``A X = Y B``.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class CalibrationCell(Shown):
         missing: float = 0.2,
         robot: tuple[float, float] | None = None,
     ) -> Sights:
-        """Draw robot poses and three points of a marker seen by a camera.
+        """Generate robot poses and three points of a marker seen by a camera.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class CalibrationCell(Shown):
         bias: bool = True,
         contacts: int = 0,
     ) -> Weighed:
-        """Draw tool orientations RA and readings y of a force sensor with a load of 1 kg.
+        """Generate tool orientations RA and readings y of a force sensor with a load of 1 kg.
 
         Parameters
         ----------
@@ -107,14 +107,14 @@ class CalibrationCell(Shown):
         sigma : noise of the forces [N].
         tilt : maximum tilt of the tool from a fixed orientation [rad]; None: any orientation.
         torque : noise of the torques [N m]; None: forces only.
-        unknown : whether to draw a random gravity direction.
-        bias : whether to draw a sensor bias.
+        unknown : whether the gravity direction is random.
+        bias : whether to add a random sensor bias.
         contacts : number of initial samples with a contact force of 20 N.
         """
         return sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
 
     def accelerometer(self, run: int = 0, N: int = 50, *, sigma: float = 0.02) -> Weighed:
-        """Draw tool orientations RA and readings y of an accelerometer at rest.
+        """Generate tool orientations RA and readings y of an accelerometer at rest.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class CalibrationCell(Shown):
         harmonics: bool = False,
         wrong: int = 0,
     ) -> KinematicRun:
-        """Draw joint positions `q` of an IRB 2400 with kinematic errors, and measured tool poses `pose`.
+        """Generate joint positions `q` of an IRB 2400 with kinematic errors, and measured tool poses `pose`.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class CalibrationCell(Shown):
         return kinematics.kinematic_run(run, self.seed, N, truth, tool, harmonics, wrong)
 
     def distances(self, run: int = 0, N: int = 120) -> DistanceRun:
-        """Draw an anchor point and its distances from the tool of the arm in `kinematics`, with 0.05 mm of noise.
+        """Generate an anchor point and its distances from the tool of the arm in `kinematics`, with 0.05 mm of noise.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class CalibrationCell(Shown):
         return kinematics.distance_run(run, self.seed, N)
 
     def two_arms(self, run: int = 0, N: int = 60, *, wrong: int = 0) -> DualRun:
-        """Draw joint positions of two arms facing each other, and poses of one tool relative to the other.
+        """Generate joint positions of two arms facing each other, and poses of one tool relative to the other.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class CalibrationCell(Shown):
         return kinematics.dual_run(run, self.seed, N, wrong)
 
     def laser(self, run: int = 0, N: int = 60, *, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
-        """Draw tool poses A and the lines `scans` that a scanner on the tool measures on flat plates (index `plane`).
+        """Generate tool poses A and the lines `scans` that a scanner on the tool measures on plates (index `plane`).
 
         Parameters
         ----------
@@ -187,14 +187,14 @@ class CalibrationCell(Shown):
 
         Raises
         ------
-        ConfigError : `plates` is not one to three.
+        ConfigError : if `plates` is not one to three.
         """
         if not 1 <= plates <= 3:
             raise ConfigError(f"Expected one to three plates, got {plates}. Choose a number in this range.")
         return sensors.scanned([self.seed, run], N, size, plates, wrong)
 
     def clock(self, run: int = 0, N: int = 30, *, period: float = 0.1, jitter: float = 1e-3) -> np.ndarray:
-        """Draw the times (N,) [s] of a sensor with clock jitter: ``t_k = k period + e_k``, increasing.
+        """Generate the times (N,) [s] of a sensor with clock jitter: ``t_k = k period + e_k``, increasing.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ def cell(seed: int) -> CalibrationCell:
 
     Raises
     ------
-    ConfigError : the seed is negative.
+    ConfigError : if the seed is negative.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Sensor experiments with known ground truth: hand-eye at rest and in motion, force sensor, accelerometer, scanner.
 
-Reordering the code changes the random numbers. The scanned plates are e_j.x = 1, at ranges of up to 0.2 m. Scans
+Reordering the code changes the random numbers. The scanned plates e_j.x = 1 are at ranges of up to 0.2 m. Scans
 are drawn in batches, so their distribution follows the specification, but the individual samples differ. Scans nearly
 parallel to a plate are redrawn, because the fit would reject them.
 """

@@ -76,7 +76,7 @@ class SignatureWalk:
         return number(self.source, pos, self.end, self.dialect.wide)
 
     def tree(self, first: int, depth: int = 1) -> Generator[None, None, tuple[Type, int]]:
-        """Walk over one node and its children."""
+        """Traverse one node and its children."""
         code, pos = yield from self.number(first)
         self.nodes += 1
         if depth > self.limits.depth or self.nodes > self.limits.values:
@@ -139,7 +139,7 @@ class SignatureWalk:
 def definition(
     source: Source, pos: int, end: int, kind: Kind, dialect: Dialect, limits: Limits
 ) -> Generator[None, None, tuple[Definition, int]]:
-    """Walk over the body of a SAMPLE_DEF, SAMPLE_REF or TYPE_DEF; raise `Cut` if the body is too short."""
+    """Traverse the body of a SAMPLE_DEF, SAMPLE_REF or TYPE_DEF; raise `Cut` if the body is too short."""
     first = pos
     index, pos = yield from number(source, pos, end, dialect.wide)
     if index < FIRST_INDEX:
@@ -318,8 +318,8 @@ class Decoder:
 
     Raises
     ------
-    UnknownName : the dialect is unknown.
-    LabCommError : no dialect is given for a stream without VERSION.
+    UnknownName : if the dialect is unknown.
+    LabCommError : if no dialect is given for a stream without VERSION.
     """
 
     refs: dict[int, SampleType]
@@ -352,8 +352,8 @@ class Decoder:
 
         Raises
         ------
-        LabCommError : the stream is malformed. The error's `offset` is the position of the fault, and `events` contains
-            the events before the fault. Every later call raises the same error.
+        LabCommError : if the stream is malformed. `offset` is the position of the fault, and `events`
+            contains the events before the fault. Every later call raises the same error.
         """
         if self._error is not None:
             raise self._error
@@ -374,7 +374,7 @@ class Decoder:
 
         Raises
         ------
-        LabCommError : the stream ended within a packet.
+        LabCommError : if the stream ended within a packet.
         """
         source = self._source
         if self._error is None and not self._closed and source.stop > source.at:
@@ -409,7 +409,7 @@ class Decoder:
                 yield from self._bare(dialect)
 
     def _packets(self, dialect: Dialect) -> Walk:
-        """Walk over packets with a length field until the dialect changes from 2014 to 2014i.
+        """Traverse packets with a length field until the dialect changes from 2014 to 2014i.
 
         Most packets have the same type as the previous packet. If packets of this type have a fixed size, comparing the
         packet headers is sufficient.

@@ -42,7 +42,7 @@ class Encoder:
     Raises
     ------
     UnknownName : the dialect is unknown.
-    LabCommError : the dialect has no type bindings.
+    LabCommError : if the dialect has no type bindings.
     """
 
     def __init__(self, dialect: str = "2014v1", allow_nul: bool = False, type_defs: bool = False) -> None:
@@ -84,7 +84,7 @@ class Encoder:
 
         Raises
         ------
-        LabCommError : the dialect has no references.
+        LabCommError : if the dialect has no references.
         """
         if not self._dialect.references:
             raise LabCommError(f"Expected a dialect with references to samples, got {self.dialect}.")
@@ -110,7 +110,7 @@ class Encoder:
 
         Raises
         ------
-        LabCommError : the type is undefined, or the value does not match it; `path` locates the fault.
+        LabCommError : if the type is undefined, or the value does not match it; `path` locates the fault.
         """
         last, write = self._last
         if last is not sample:

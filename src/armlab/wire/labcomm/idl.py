@@ -61,7 +61,7 @@ def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
 
     Raises
     ------
-    LabCommError : the text is invalid; `line` and `column` locate the fault.
+    LabCommError : if the text is invalid; `line` and `column` locate the fault.
     UnknownName : the dialect is unknown.
     """
     kind = dialect_named(dialect)
@@ -79,7 +79,7 @@ def to_lc(types: Iterable[SampleType | Typedef]) -> str:
 
     Raises
     ------
-    LabCommError : the language cannot express a name or a note.
+    LabCommError : if the language cannot express a name or a note.
     """
     lines = []
     for one in types:
@@ -256,7 +256,7 @@ def _declared(node: Type, name: str, indent: str) -> str:
 
 def _name(text: str) -> str:
     if not _NAME.fullmatch(text) or text in _KEYWORDS:
-        raise LabCommError(f"Expected a valid .lc name (letters, digits, _, no keyword), got {text!r}.")
+        raise LabCommError(f"Expected a valid .lc name (letters, digits, _, not a keyword), got {text!r}.")
     return text
 
 

@@ -225,7 +225,7 @@ class SampleType(NamedTuple):
 
 
 def typename(node: Type) -> str:
-    """Return the name of a type for errors, such as "double[7]" or "struct"."""
+    """Return the name of a type for error messages, such as "double[7]" or "struct"."""
     if isinstance(node, Array):
         return f"{typename(node.elem)}[{','.join(str(size or '_') for size in node.dims)}]"
     return node.name if isinstance(node, Prim) else f"type {node.index}" if isinstance(node, TypeRef) else "struct"

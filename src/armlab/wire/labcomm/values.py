@@ -291,7 +291,7 @@ def reader(node: Type) -> Reader:
 
 
 def runs(node: Struct) -> list[list[Field]]:
-    """Return the fields of a struct in order, grouped such that each group needs only one `struct` call."""
+    """Return the fields of a struct in order, grouped so that each group needs only one `struct` call."""
     found: list[list[Field]] = []
     for _, group in groupby(node.fields, key=lambda field: flat_form(field.type) is not None):
         fields = list(group)

@@ -1,4 +1,4 @@
-"""Servers on ports of this computer, and plain clients that read what comes."""
+"""Servers on local ports, and plain clients that read all data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each port does with what clients send, rows on the wire, and a connection's queue."""
+"""How each port handles client data, rows on the wire, and the queue of a connection."""
 
 from __future__ import annotations
 
@@ -157,11 +157,11 @@ def test_a_text_that_clients_cannot_be_told_is_refused(text: str) -> None:
     channel.take(a, sample(text, PRIMS["string"], "task"), [a])
     assert values(a) == [("task", "grind"), ("task", "grind")]
     channel.take(a, sample("polish", PRIMS["string"], "task"), [a])
-    assert values(a)[-1] == ("task", "polish"), "without anybody to decide every other value is taken"
+    assert values(a)[-1] == ("task", "polish"), "without a decision function, every other value is accepted"
     assert channel.counts == {"refused": 1, "set": 1}
 
 
-CHAIN = np.array([1.0, 2.0, 7.0, 3.0, 4.0, 5.0, 6.0])  # number of each joint from base to tool
+CHAIN = np.array([1.0, 2.0, 7.0, 3.0, 4.0, 5.0, 6.0])  # ABB axis number of each joint, from base to tool
 
 
 def test_the_wire_has_the_order_of_abb() -> None:
@@ -192,7 +192,7 @@ def test_zeros_and_nan_ask_for_nothing() -> None:
 
 @pytest.mark.parametrize("wrong", [np.zeros(6), np.zeros(14), np.zeros((7, 1)), np.float64(0.0)])
 def test_a_row_of_another_number_of_joints_is_not_sent(wrong: np.ndarray) -> None:
-    """Fourteen numbers, of two arms, must not become a command of seven."""
+    """Fourteen numbers for two arms must not become a command of seven numbers."""
     with pytest.raises(LabCommError, match=r"Expected 7 numbers in pos of a row, got shape"):
         RowTypes().value(Row(1, wrong))
     with pytest.raises(LabCommError, match=r"Expected 7 numbers in vel of a row, got shape"):
@@ -288,12 +288,12 @@ def test_a_peer_that_takes_nothing_is_overdue(pair: tuple[Peer, socket.socket]) 
     assert "read nothing" in peer.overdue(peer.began + 60.0)
     other.close()
     while peer.flush():
-        pass  # the system tells the end of the connection with one of the next writes
+        pass  # the system reports the end of the connection at one of the next writes
 
 
 def test_a_packet_that_stays_incomplete_is_overdue(pair: tuple[Peer, socket.socket]) -> None:
     peer, other = pair
-    assert peer.overdue(peer.began + 60.0) == "", "a silent peer is no fault"
+    assert peer.overdue(peer.began + 60.0) == "", "a silent peer is not a fault"
     other.sendall(Encoder().version()[:5])
     while peer.decoder.pending < 5:
         assert peer.read() == []

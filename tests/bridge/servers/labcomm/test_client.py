@@ -1,4 +1,4 @@
-"""A client of LabComm: rows, commands, parameters, a server that goes, and a controller that runs over it."""
+"""LabComm client: rows, commands, parameters, a server that closes, and a controller that runs over LabComm."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_rows_and_commands(start: Start) -> None:
 
 
 def test_a_callback_answers_rows(start: Start) -> None:
-    """Like the handler of the ancestor's client."""
+    """The callback corresponds to the handler of the original client."""
     one = start(ArmChannel("left", 0, lambda name, command, client: one.server.row("left", row(command.tm + 1))))
     seen: list[int] = []
 

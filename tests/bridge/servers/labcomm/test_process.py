@@ -1,4 +1,4 @@
-"""The server as a process: rows of a feed go out, commands and parameters of clients come back to the loop."""
+"""The server as a process: it sends the rows of a feed and returns client commands and parameters to the loop."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, 
     running.exchange.begin(lambda text, *_: told.append(text))
 
     def said(words: str) -> bool:
-        running.exchange.arbiter._answered.clear()  # each is told at once
+        running.exchange.arbiter._answered.clear()  # report each message immediately
         running.exchange.poll()
         return any(text.startswith("labcomm: ") and words in text for text in told)
 

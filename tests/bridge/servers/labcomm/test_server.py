@@ -1,4 +1,4 @@
-"""A server over real sockets, with clients that are slow, silent, hostile, cut, too many, or never read."""
+"""A server over real sockets, with clients that are slow, silent, hostile, cut off or too many, or never read."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_rows_come_in_order_whatever_other_clients_do(start: Start) -> None:
     assert [type(event) for event in events[:2]] == [Version, Definition]
     assert [event.value["tm"] for event in events[2:] if isinstance(event, Sample)] == list(range(1000))
     late = [event.value["tm"] for event in silent.read(200) if isinstance(event, Sample)]
-    assert late == sorted(set(late)), "a client that reads late gets what was kept for it, in order"
+    assert late == sorted(set(late)), "a client that reads late gets the buffered rows in order"
     until(lambda: sum("offset" in text for text in one.said) >= 30)
     assert one.server.counts["left"]["clients"] == 3
     assert deaf.socket.fileno() > 0
@@ -75,7 +75,7 @@ def test_a_client_that_never_reads_loses_the_oldest_rows_only(start: Start) -> N
     while not numbers or numbers[-1] < last:
         numbers = [e.value["t_us"] for e in deaf.read(len(deaf.events) + 1) if isinstance(e, Sample)]
     assert numbers == sorted(set(numbers))
-    assert numbers[0] == 0, "what was on its way is not lost"
+    assert numbers[0] == 0, "rows in transit are not lost"
     assert one.server.lost == 0
 
 
@@ -89,7 +89,7 @@ def test_commands_come_whole_from_any_cut(start: Start) -> None:
     until(lambda: taken == [0])
     for k in range(0, len(raw), 20):
         cut = one.client("left")
-        cut.read(2)  # else the system resets the connection instead of ending it
+        cut.read(2)  # otherwise the system resets the connection instead of closing it
         cut.socket.sendall(raw[:k])
         cut.socket.close()
         until(lambda: one.server.counts["left"]["clients"] == 1)
@@ -222,7 +222,7 @@ def test_a_refusal_names_the_number_that_the_client_sent(order: Any, called: str
     assert sent[6 if order == "abb" else 2] == far[2]
 
 
-TURNS = 200  # of 50 ms at most; only a test that fails waits so long
+TURNS = 200  # of 50 ms at most; reached only if a test fails
 
 
 class Bench:
@@ -285,7 +285,7 @@ def test_a_client_that_reads_again_gets_what_waited(bench: Bench) -> None:
     bench.until(reads)
     assert numbers == list(range(sent))
     assert not peer.is_waiting
-    assert not bench.ports.turn(), "nobody is asked to write when nothing waits"
+    assert not bench.ports.turn(), "no write is requested when nothing is queued"
 
 
 def test_clients_share_what_a_turn_reads(bench: Bench) -> None:
@@ -300,7 +300,7 @@ def test_clients_share_what_a_turn_reads(bench: Bench) -> None:
         assert bench.ports.turn()
         read = [peer.decoder.offset + peer.decoder.pending for peer in peers]
         assert read == 4 * [1024 * k]
-        assert len(bench.stops) == 4 * k, "one stop of a read is enough"
+        assert len(bench.stops) == 4 * k, "one stop per read is enough"
 
 
 def test_what_was_not_taken_is_told_once_and_counted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""What the tests of all servers of ROS share."""
+"""Shared helpers of the ROS server tests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def cell_class(server: str) -> Any:
-    """Return the class of a server with a node, over DDS ("ros2") or Zenoh ("rmw_zenoh")."""
+    """Return the class with a server and a node over DDS ("ros2") or Zenoh ("rmw_zenoh")."""
     if server == "ros2":
         pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
         from .dds_peers import DdsCell as Cell
@@ -40,7 +40,7 @@ def cell_class(server: str) -> Any:
 
 @contextmanager
 def turning_cell(server: str) -> Iterator[Any]:
-    """Run the loop of a cell whose arm stays where it is."""
+    """Run the loop of a cell with a stationary arm."""
     one, over = cell_class(server)(), threading.Event()
 
     def turn() -> None:

@@ -1,4 +1,4 @@
-"""The server of ROS 2 over DDS in a thread, in a domain of its own, and participants that play its nodes."""
+"""ROS 2 server over DDS in a thread, in its own domain, and participants that act as its nodes."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _is_free(port: int) -> bool:
 
 
 def _service_type(name: str) -> Any:
-    """Return the type of requests or responses of rmw_cyclonedds, with client and number before the fields."""
+    """Return the request or response type of rmw_cyclonedds, with client and number before the fields."""
     header = {"client": types.uint64, "number": types.int64}
     members = {member: _member(*about) for member, about in store().fielddefs[name][1]}
     made: Any = make_idl_struct(

@@ -1,4 +1,4 @@
-"""Trajectories of ROS nodes: the action's services and topics with a loop in one thread, and peers over DDS."""
+"""Trajectories from ROS nodes: action services and topics with a loop in one thread, and peers over DDS."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def seconds(value: float) -> dict[str, int]:
 
 
 def trajectory(*points: tuple[float, float], names: list[str] = NAMES, **more: Any) -> dict[str, Any]:
-    """Return a trajectory of offsets from home, at rest in each point: (time [s], offset [rad])."""
+    """Return a trajectory of offsets from home, at rest at each point: (time [s], offset [rad])."""
     home = dict(zip(NAMES, ROBOT.q_home, strict=True))
     made = [
         {
@@ -186,7 +186,7 @@ def test_a_goal_arrives_with_feedback(bench: Bench, monkeypatch: pytest.MonkeyPa
         (trajectory((0.0, 0.0), (1.0, 0.1), names=NAMES[:6]), -2, "no column for yumi_robl_joint_7"),
         (trajectory((0.0, 0.0), (1.0, 0.1), names=[]), -2, "joint_names, got none"),
         (trajectory((0.0, 0.0), (1.0, 0.1), (1.0, 0.2)), -1, "increasing times from 0 s, got 1 s at point 2"),
-        (trajectory((0.0, 0.0), (1.0, 0.1), (1.01, 0.2)), -1, "speeds up to 1.571"),  # half of the robot's
+        (trajectory((0.0, 0.0), (1.0, 0.1), (1.01, 0.2)), -1, "speeds up to 1.571"),  # half of the robot's limit
         (trajectory((0.0, 0.0), (9.0, 3.0)), -1, "positions from"),
         (trajectory((0.0, 0.2), (1.0, 0.1)), -1, "first point to be near the arm"),
         (trajectory((0.01, 0.1), (1.0, 0.1)), -1, "to reach the first point"),
@@ -459,7 +459,7 @@ def test_the_services_over_the_network(running: Any) -> None:
     for number, names, expected in ((1, NAMES, (SUCCEEDED, 0, "")), (2, ["elbow"], (ABORTED, -2, "got 'elbow'"))):
         goal = {"trajectory": trajectory((0.3, 0.0), names=names)}
         answer = {"status": ABORTED, "result": {"error_code": -1}}
-        while answer["status"] == ABORTED and answer["result"]["error_code"] == -1:  # a busy machine is not ready
+        while answer["status"] == ABORTED and answer["result"]["error_code"] == -1:  # the arm may not be ready yet
             number += 10
             assert call("send_goal", f"{FOLLOW}_SendGoal", goal_id=uuid(number), goal=goal)["accepted"]
             answer = call("get_result", f"{FOLLOW}_GetResult", goal_id=uuid(number))
@@ -480,7 +480,7 @@ KINDS = {
     "actions": (("make", "gcc", "idlc"), "make gcc cyclonedds-dev cyclonedds-tools"),
     "fast_actions": (("make", "g++", "fastddsgen"), "make g++ libfastrtps-dev fastddsgen"),
 }
-"""Action clients that are built from IDL, in C with Cyclone DDS and in C++ with Fast DDS."""
+"""Action clients built from IDL, in C with Cyclone DDS and in C++ with Fast DDS."""
 
 
 def peer(folder: Path, kind: str, domain: int, *more: str) -> subprocess.Popen[str]:
@@ -564,7 +564,7 @@ def check_limits(run: Any) -> None:
 
 @pytest.mark.slow
 def test_a_minute_is_tracked_as_by_a_controller_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compares 600 points with the spline itself in the loop. Takes 40 s."""
+    """Compares tracking of 600 points with a loop that follows the spline itself. Takes 40 s."""
     client = pytest.importorskip("websockets.sync.client", reason="the extra net is not installed")
     t = np.linspace(0.0, 60.0, 601)
     envelope = np.sin(np.pi * t / 60.0)[:, None] ** 2

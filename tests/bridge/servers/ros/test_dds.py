@@ -1,4 +1,4 @@
-"""Readers and writers of DDS as its threads call them, bytes on the wire, and who is kept out."""
+"""DDS readers and writers as called by DDS threads, bytes on the wire, and excluded participants."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture
         until(lambda: came)
         writer.leave()
         until(lambda: len(readers._clients) == 1)
-        assert left == [], "it has another writer, which has not written yet"
+        assert left == [], "the client has another writer, which has not written yet"
         other.leave()
         until(lambda: left)
         readers.close()
@@ -125,7 +125,7 @@ def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytes
 
 PUBLISHED = {one.type for one in Topics({ARM.name: ARM}, RowSchema.of([ARM])).published.values()}
 TAKEN = set(Commands("cell", {ARM.name: ARM}).types.values())
-BYTES = bytes.fromhex(  # JointState of 1.000000002 s, frame "f", joints a and b, by hand
+BYTES = bytes.fromhex(  # JointState encoded by hand: 1.000000002 s, frame "f", joints a and b
     "00010000 01000000 02000000 02000000 66000000 02000000 02000000 61000000 02000000 62000000 02000000"
     "0000000000000000 000000000000f03f 00000000 02000000 000000000000f03f 0000000000000040"
 )

@@ -1,4 +1,4 @@
-"""docs/ros.md says what the tests check; the job that checks real ROS 2 in containers, without containers."""
+"""Agreement of docs/ros.md with the tests, and the job that checks real ROS 2, without its containers."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ GOOD = dict.fromkeys(("echo", "hz", "info -v", "parameter", "command", "stop"), 
 def test_what_does_not_hold_is_told(part: str, text: str, check: str, words: str) -> None:
     found = JOB.judge({**SAID, part: text}, "jazzy", "rmw_zenoh_cpp")
     assert words in found[check]
-    assert all(JOB.judge({}, "humble", "rmw_fastrtps_cpp").values()), "nodes that say nothing pass nothing"
+    assert all(JOB.judge({}, "humble", "rmw_fastrtps_cpp").values()), "nodes without output pass no check"
 
 
 def test_cells_and_settings_are_those_of_the_page() -> None:
@@ -204,7 +204,7 @@ def test_the_readme_and_the_parity_table_claim_what_the_tests_check(page: Path) 
 def test_the_peers_that_are_built_have_the_versions_that_are_claimed(place: int, package: str) -> None:
     system = Path("/etc/os-release")
     if not system.is_file() or not re.search(r'^VERSION="12 \(bookworm\)"$', system.read_text(), flags=re.M):
-        pytest.skip("the versions are those of Debian 12, which this is not")
+        pytest.skip("the versions apply only to Debian 12")
     command = ["dpkg-query", "-W", "-f", "${Version}", package]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     if found.returncode:

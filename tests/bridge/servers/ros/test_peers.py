@@ -1,7 +1,7 @@
-"""Level 2 of the test ladder: nodes of others over DDS and Zenoh that know nothing of armlab.
+"""Level 2 of the test ladder: third-party nodes over DDS and Zenoh, independent of armlab.
 
-In Python, C (Cyclone DDS) and C++ (Fast DDS) with the versions of Debian 12, other versions of Zenoh and
-zenoh-ros2-sdk: what stands here is what docs/ros.md says was checked.
+The nodes use Python, C (Cyclone DDS) and C++ (Fast DDS) with the versions of Debian 12, other versions of Zenoh, and
+zenoh-ros2-sdk; docs/ros.md lists exactly these as checked.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ pytestmark = pytest.mark.slow
 SOURCES = Path(__file__).parent / "peers"
 ARM = robots.load("yumi_left")
 PERIOD = 0.004
-SETTLED = 2_000_000_000  # ns after the first sample, from which on none may be missing
-SYSTEM = "/usr/bin:/bin:/usr/local/bin"  # the idlc of the wheel beside our Python makes code for another version
+SETTLED = 2_000_000_000  # ns after the first sample, after which none may be missing
+SYSTEM = "/usr/bin:/bin:/usr/local/bin"  # the idlc in the wheel of our Python generates code for another version
 
 
 BUILT: dict[str, list[str]] = {}
@@ -146,7 +146,7 @@ class Stream:
             R = kinematics.forward(ARM, q)[:3, :3]
             self.sent[wall] = {"J": q, "W": np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])}
             self.exchange.row(state, None, Tick(k, k, wall, 1_000, 2_000, 3))
-            due = max(due, time.monotonic() - PERIOD) + PERIOD  # no burst makes up for what a busy machine took
+            due = max(due, time.monotonic() - PERIOD) + PERIOD  # no burst makes up for the delays of a busy machine
             self._over.wait(max(0.0, due - time.monotonic()))
 
     def check(self, lines: list[list[str]], kind: str, is_whole: bool = True) -> None:
@@ -175,7 +175,7 @@ def installing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, I
         found[wanted] = folder, subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     yield found
     for _, process in found.values():
-        with process:  # those that no test has waited for
+        with process:  # processes that no test has waited for
             process.kill()
 
 
@@ -209,13 +209,13 @@ def test_a_reader_that_stops_and_one_that_dies_disturb_nobody(node: list[str], s
     slow.process.send_signal(signal.SIGSTOP)
     dead.process.kill()
     dead.process.wait()
-    lines = good.ended()  # 6 s: what waits for the two is not kept
+    lines = good.ended()  # 6 s: messages for the two others are not kept
     slow.process.send_signal(signal.SIGCONT)
     late = slow.ended()
     stream.check(lines["J"], "J")
     stream.check(lines["W"], "W")
     delays = [int(words[2]) - int(words[1]) for words in lines["J"]]
-    assert max(delays) < 1_000_000_000, "no message waited for a reader that does not read"
+    assert max(delays) < 1_000_000_000, "no message waited for a stopped reader"
     stream.check(late["J"], "J", is_whole=False)
     assert max(np.diff([int(words[1]) for words in late["J"]])) > 1_500_000_000, "it did stop"
 
@@ -230,7 +230,7 @@ def test_a_node_moves_the_simulated_arm(tmp_path: Path, monkeypatch: pytest.Monk
     assert any(text.startswith("ros2 ") and text.endswith(" commands yumi_left.") for _, text in run.events)
     q = np.array([words[4:11] for words in lines], dtype=float)
     measured = {row.tobytes() for row in np.asarray(run.table["q"])}
-    assert all(row.tobytes() in measured for row in q), "what the node read is what was measured"
+    assert all(row.tobytes() in measured for row in q), "the node read the measured values"
     assert np.all(q[-1] - q[0] > 0.04)
     sent = run.table.dropna("qd_sent")["qd_sent"]
     assert np.nanmax(np.abs(sent)) <= 0.05 + 1e-9
@@ -239,7 +239,7 @@ def test_a_node_moves_the_simulated_arm(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_fast_dds_node_without_a_profile_finds_a_bridge_that_has_run_for_long(
     stream: Stream, installing: dict[str, Installing], tmp_path: Path
 ) -> None:
-    """Ports that do not answer would be dropped after 30 s. Takes 10 s, and the rest of 35 s."""
+    """Ports that do not answer would be dropped after 30 s. Takes 10 s, plus the remainder of 35 s since the start."""
     command = _fast(tmp_path)
     time.sleep(max(0.0, stream.began + 35.0 - time.monotonic()))
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""ROS 2 with rmw_zenoh: a Zenoh session plays the nodes; a router between them is killed and started again."""
+"""ROS 2 with rmw_zenoh: a Zenoh session plays the nodes; a router between them is killed and restarted."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def test_the_attachment_is_what_zenoh_serialises() -> None:
 
 def test_messages_of_a_writer_are_numbered_from_one() -> None:
     writer = Writer("")
-    assert writer.id[::-1].hex() == "99aa06d3014798d86001c324468d497f", "XXH3-128 of nothing, by its own test vectors"
+    assert writer.id[::-1].hex() == "99aa06d3014798d86001c324468d497f", "XXH3-128 of empty input, from its test vectors"
     found = [Origin.read(writer.next(stamp)) for stamp in (5, 6)]
     assert found == [(1, 5, writer.id), (2, 6, writer.id)]
     assert Writer("a").id != Writer("b").id
@@ -199,12 +199,12 @@ def test_a_flood_of_writers_is_not_kept() -> None:
 
 SENDER = b"s" * 16
 STAMP, PERIOD_NS = struct.Struct("<iI"), 4_000_000
-AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on two cores the longest took 0.4 s
+AGAIN_NS = 5e9  # specified limit; the longest of ten restarts at a load of 20 on two cores took 0.4 s
 RESTART = 60.0  # s; only a test that fails waits so long
 
 
 class Cell(Served):
-    """Loop with a row every 4 ms, and a node that is connected through the router only."""
+    """Loop with a row every 4 ms, and a node that is connected only through the router."""
 
     def __init__(self, router: int) -> None:
         place = {"host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{router}"}
@@ -214,7 +214,7 @@ class Cell(Served):
         self.threads = [threading.Thread(target=one) for one in (self._loop, self._command)]
         self.node = LabAddress("127.0.0.1", router).open_behind()
         self.names = Names(0, str(self.node.zid()), node="theirs")
-        self.came: list[tuple[int, int, int]] = []  # of each message its number, its tick, and when it was written [ns]
+        self.came: list[tuple[int, int, int]] = []  # number, tick and time of writing [ns] of each message
         self.node.declare_subscriber(self.names.data("/yumi_left/joint_states", JOINTS), self._take)
         for one in self.threads:
             one.start()
@@ -261,7 +261,7 @@ def cell(often: None, processes: Callable[..., Started]) -> Iterator[tuple[Cell,
 
     def restart() -> Started:
         routers[-1].kill()
-        until(lambda: one.commander == "", patience=RESTART)  # nothing comes any more
+        until(lambda: one.commander == "", patience=RESTART)  # no more commands arrive
         routers.append(processes("router", port))
         return routers[-1]
 

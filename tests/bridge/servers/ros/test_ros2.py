@@ -1,6 +1,6 @@
-"""ROS 2 itself: rclpy with Fast DDS, of the distributions that have packages for Python 3.11.
+"""ROS 2 itself: rclpy with Fast DDS, from the distributions that have packages for Python 3.11.
 
-Services also with Cyclone DDS in C, whose messages are those of rmw_cyclonedds.
+Services are also tested with Cyclone DDS in C, whose messages are those of rmw_cyclonedds.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ print(json.dumps(found))
 @pytest.fixture(scope="module", params=PACKAGES)
 def rclpy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
     if sys.version_info[:2] != (3, 11):
-        pytest.skip("the packages of ROS 2 are for Python 3.11")
+        pytest.skip("the ROS 2 packages require Python 3.11")
     folder = tmp_path_factory.mktemp(request.param)
     venv.create(folder, with_pip=True)
     packages = [PACKAGES[request.param].format(name) for name in ("rclpy", "rmw-fastrtps-cpp", "sensor-msgs")]

@@ -1,4 +1,4 @@
-"""Services over DDS on a network that loses packets, and packets that are none."""
+"""Services over DDS on a network that loses packets, and invalid packets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What nodes of ROS 2 read and command is the same over DDS and over Zenoh."""
+"""ROS 2 nodes read the same data and send the same commands over DDS and over Zenoh."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_all_writers_of_a_node_are_one_client_until_the_last_goes(start: Callabl
     until(lambda: obeyed() and (setter.write(raw(TEXT, '{"gain": 0.75}')) or running.exchange.parameters.gain == 0.75))
     events: list[str] = []
     running.exchange.begin(lambda text, *_: events.append(text))
-    running.exchange.arbiter._lease_ns = 10**12  # what ends it is that the writers leave
+    running.exchange.arbiter._lease_ns = 10**12  # so that only the departure of the writers ends it
     until(obeyed)
     velocity.leave()
     for _ in range(30):
@@ -103,7 +103,7 @@ def test_a_second_commander_is_refused_by_a_sentence(running: Any) -> None:
 
     def told() -> bool:
         first.write(numbers(*[0.01] * 7))
-        if running.exchange.arbiter.commander(ARM.name) == who:  # else its lease ended: the second would take the arm
+        if running.exchange.arbiter.commander(ARM.name) == who:  # otherwise its lease ended: the second takes the arm
             second.write(numbers(*ARM.q_home))
         return answer(running, diagnostics).startswith(said)
 
@@ -136,7 +136,7 @@ def test_what_is_no_command_is_told_and_the_next_is_heard(running: Any) -> None:
     running.exchange.begin(lambda text, *_: events.append(text))
     noise = (velocity, b"\0\1\0\0nothing", "Expected a std_msgs/msg/Float64MultiArray, got 11 invalid bytes")
     for writer, wrong, words in (
-        *[noise] * (running.name == "rmw_zenoh"),  # DDS lets none through
+        *[noise] * (running.name == "rmw_zenoh"),  # DDS passes no invalid message
         (velocity, numbers(*[0.0] * 6), "Expected 7 numbers"),
         (velocity, numbers(*[np.nan] * 7), "Expected finite numbers"),
         (setter, raw(TEXT, '{"gain": "\\ud800"}'), "Expected a request that can be encoded as UTF-8 JSON"),

@@ -1,4 +1,4 @@
-"""Services of the nodes, their parameters, the description of the arm and the graph, over DDS and Zenoh."""
+"""Services of the nodes, parameters, the robot description and the graph, over DDS and Zenoh."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_clients_over_dds_that_leave_are_forgotten() -> None:
         for _ in range(3):
             told = cell.node.call("/yumi_left/list_parameters", f"{INTERFACES}/srv/ListParameters", request)
             assert told.result.names == LISTED
-        until(lambda: not servers._clients)  # their writers and readers say farewell in packets of their own
+        until(lambda: not servers._clients)  # their writers and readers announce their departure in separate packets
         until(lambda: not any(one.acknowledged for id_, one in list(servers._writers.items()) if id_[3] == 3))
     finally:
         cell.close()

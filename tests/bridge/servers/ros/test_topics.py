@@ -1,4 +1,4 @@
-"""What ROS programs read and may send: messages of rows, their types, and the requests that commands become."""
+"""Messages for and from ROS programs: messages made from rows, their types, and requests made from commands."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_only_what_is_read_is_made() -> None:
     topics, data = Topics(ARMS, SCHEMA), row(state(wrench=WRENCH))
     for wanted in (["/yumi_left/tcp_pose", "/nobody/joint_states"], ["/yumi_left/egm_states"], []):
         assert [topic.name for topic, _ in topics.of_row(data, wanted)] == wanted[:1]
-    assert list(topics.of_row(data, ["/yumi_right/joint_states"])) == [], "the row is of the other arm"
+    assert list(topics.of_row(data, ["/yumi_right/joint_states"])) == [], "the row belongs to the other arm"
     with pytest.raises(LinkError, match="with a stated size of"):
         list(topics.of_row(data + bytes(8), []))
 
@@ -169,7 +169,7 @@ def test_diagnostics_come_once_a_second_for_every_arm() -> None:
         tick = Tick(k, k, WALL, 1_000, 2_000, 3, late=k == 400)
         data = writer.row(state(), None, tick, MONO + 4_000_000 * k, "rosbridge 127.0.0.1:5")
         found += topics.of_row(data, {"/yumi_left/diagnostics", "/yumi_right/diagnostics"})
-    assert len(found) == 6  # at 0, 1 and 2 s, two arms
+    assert len(found) == 6  # two arms at 0, 1 and 2 s
     (status,) = next(message for topic, message in reversed(found) if topic.name == "/yumi_left/diagnostics").status
     values = {one.key: one.value for one in status.values}
     assert status.level == 1
@@ -188,14 +188,14 @@ def test_an_arm_that_falls_silent_is_an_error_with_rows_of_the_other_and_with_no
         tick = Tick(7, 7, WALL, 1_000, 2_000, 3)
         return statuses(topics.of_row(writer.row(state(name), None, tick, mono_ns, "me"), wanted))
 
-    assert not list(topics.of_silence(0, wanted)), "the first call only looks"
+    assert not list(topics.of_silence(0, wanted)), "the first call reports nothing"
     assert set(statuses(topics.of_silence(2 * SECOND, wanted)).values()) == {(2, "no packet yet")}
     assert told("yumi_right", MONO)["/yumi_right/diagnostics"] == well
     told("yumi_left", MONO + 1)
     assert set(told("yumi_left", MONO + SECOND).values()) == {well}
     found = told("yumi_left", MONO + 3 * SECOND)
     assert found == {"/yumi_left/diagnostics": well, "/yumi_right/diagnostics": (2, "no packet for 3.0 s")}
-    assert not list(topics.of_silence(7 * SECOND, wanted)), "a row came since the call before"
+    assert not list(topics.of_silence(7 * SECOND, wanted)), "a row has arrived since the previous call"
     assert not list(topics.of_silence(7 * SECOND + 10, wanted)), "it is not due"
     found = statuses(topics.of_silence(9 * SECOND, wanted))
     assert found["/yumi_left/diagnostics"] == (2, "no packet for 2.0 s")

@@ -1,4 +1,4 @@
-"""The server of ROS 2 with rmw_zenoh in a thread, and sessions that play its nodes."""
+"""ROS 2 server with rmw_zenoh in a thread, and sessions that act as its nodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real roscore, and programs with rospy under the system's Python; skipped where they are not installed."""
+"""A real roscore, and rospy programs under the system's Python; the tests are skipped if these are not installed."""
 
 from __future__ import annotations
 

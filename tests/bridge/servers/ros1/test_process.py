@@ -1,4 +1,4 @@
-"""A real master, real nodes under the system's Python: what they read, what they command, what happens without them."""
+"""A real master and real nodes under the system's Python: reading, commanding, and behaviour without them."""
 
 from __future__ import annotations
 
@@ -83,9 +83,9 @@ def options(uri: str, python: str = PYTHON, host: str = "127.0.0.1") -> dict[str
 
 def on_a_network() -> str:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-        probe.connect(("192.0.2.1", 9))  # chooses a network card and sends nothing
+        probe.connect(("192.0.2.1", 9))  # selects a network interface without sending
         return str(probe.getsockname()[0])
-    pytest.skip("this computer is on no network")
+    pytest.skip("this computer is not on a network")
 
 
 class Running(ServedProcess):
@@ -128,7 +128,7 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
     running.until(lambda: running.exchange.outlets["ros1"].send(b'{"kind":"count"}') and is_read())
     last = running.number + ROWS
     running.until(lambda: running.number >= last)
-    running.number = 10**9  # tells the reader to end
+    running.number = 10**9  # makes the reader end
     running.until(lambda: reader.poll() is not None)
     assert reader.stdout is not None
     numbers, values, names, texts = json.loads(reader.stdout.read())
@@ -156,7 +156,7 @@ def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
 @pytest.mark.parametrize("address", [lambda: "127.0.0.1", on_a_network], ids=["loopback", "network"])
 def test_it_listens_at_its_address_only(ros: Ros, address: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the relay, rospy listens at every address, unless its own is loopback."""
-    monkeypatch.setenv("ROS_IPV6", "on")  # of the user's shell
+    monkeypatch.setenv("ROS_IPV6", "on")  # as in the user's shell
     with contextlib.ExitStack() as stack:
         running = Running(stack, ros.uri, host := address())
         assert running.where.startswith(f"{host} (ros1, ")
@@ -342,7 +342,7 @@ def test_a_played_recording_drives_robot_state_publisher(ros: Ros, tmp_path: Pat
     names, positions = played(recorder.path, "/yumi_left/joint_states")
     assert cli.main(["log", "export", str(recorder.path), str(tmp_path / "run.rosbag2")]) == 0
     assert played(tmp_path / "run.rosbag2", "/joint_states") == (names, positions)
-    assert names == list(ARM.ros_joint_names), "those of the live topic"
+    assert names == list(ARM.ros_joint_names), "the same names as in the live topic"
     robots.save(ARM, tmp_path / "arm.urdf")
     told = tmp_path / "told.json"
     told.write_text(json.dumps([names, positions, (tmp_path / "arm.urdf").read_text(), str(PUBLISHER)]))

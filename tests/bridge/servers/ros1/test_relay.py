@@ -1,4 +1,4 @@
-"""The relay by itself, with a rospy that the test plays, and the connections of nodes; with real ones: test_process."""
+"""The relay alone with a simulated rospy, and the connections of nodes; test_process.py uses real nodes."""
 
 from __future__ import annotations
 
@@ -200,17 +200,17 @@ def test_a_node_that_does_not_read_loses_the_oldest_and_holds_nobody_up(nodes: N
         nodes.subscribers.send(STATES, bytes(10_000))
         assert struct.unpack_from("<I", read(quick, nodes)) == (sent,)
         _, lost = nodes.subscribers.counts[STATES.name]
-        assert sent < 20_000, "all of it vanished in buffers"
+        assert sent < 20_000, "all messages vanished in buffers"
     found: list[int] = []
     while not found or found[-1] < sent:
         message = read(slow, nodes)
         assert message[4:] == bytes(9_996)
         found += struct.unpack_from("<I", message)
-    assert found == sorted(set(found)), "in order, and none twice"
+    assert found == sorted(set(found)), "in order, without duplicates"
     assert found[-500:] == [*range(sent - 500 + 1, sent + 1)]
     assert len(found) == sent - lost
     kept = sent - lost - 500
-    assert found[: kept // 2] == [*range(1, kept // 2 + 1)], "room that the system made later lets others pass"
+    assert found[: kept // 2] == [*range(1, kept // 2 + 1)], "space freed later lets further messages pass"
     assert nodes.looks.poll(0.0) == [], "there is room, and nothing waits"
 
 
@@ -231,7 +231,7 @@ def test_a_node_that_is_cut_off_while_it_is_written_to_is_let_go(nodes: Nodes) -
     gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     gone.close()
     sent = 0
-    while nodes.subscribers.wanted and sent < 1000:  # the system may tell later
+    while nodes.subscribers.wanted and sent < 1000:  # the system may report the end later
         nodes.subscribers.send(STATES, bytes(8))
         sent += 1
         nodes.looks.poll(20.0)

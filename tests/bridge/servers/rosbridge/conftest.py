@@ -1,4 +1,4 @@
-"""An engine at a loop that only listens, and clients that say and hear JSON."""
+"""An engine on a loop that only listens, and clients that send and receive JSON."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Clients of others, roslibpy and roslib, and clients that are lost, against a whole cell.
+"""Third-party clients (roslibpy and roslib) and lost clients, against a complete cell.
 
-A computer that has gone is a proxy that carries nothing any more and closes nothing.
+A lost computer is simulated by a proxy that stops forwarding but closes no connection.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _address(text: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="tells of connections on Linux only")
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="lists connections on Linux only")
 def test_one_client_reads_while_the_others_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Takes 20 s: a lost client is disconnected after 10 s without progress, or 15 s without a pong."""
     port, programs, proxies = free_port(), list[subprocess.Popen[bytes]](), list[Proxy]()
@@ -132,7 +132,7 @@ def test_one_client_reads_while_the_others_are_lost(monkeypatch: pytest.MonkeyPa
                 heard += part
             assert b"\x89\x04" in heard, "a ping"
             assert b"keepalive ping timeout" in heard
-            until(lambda: all(proxy.closed.is_set() for proxy in proxies), what="the end of clients that had gone")
+            until(lambda: all(proxy.closed.is_set() for proxy in proxies), what="the end of the lost clients")
 
         cell_run = play(monkeypatch, cell_at(port, 'dialect = "ros1"'), script)
         output, _ = programs[0].communicate(timeout=30.0)
@@ -142,8 +142,8 @@ def test_one_client_reads_while_the_others_are_lost(monkeypatch: pytest.MonkeyPa
     assert len(numbers) >= 0.999 * (numbers[-1] - numbers[0] + 1)
     assert re.search(r"Rows from this server to its clients: .* dropped\)", cell_run.report())
     served = cell_run.statistics["servers"]["rosbridge"]
-    assert served["lost"] == 0, "the loop waited for no client, and the server for none"
-    assert sum(dropped > 0 for _, dropped in served["clients"].values()) == 3  # stopped, and twice gone
+    assert served["lost"] == 0, "neither the loop nor the server waited for a client"
+    assert sum(dropped > 0 for _, dropped in served["clients"].values()) == 3  # one stopped and two lost clients
     freed = [event for _, event in cell_run.events if "no longer commands yumi_left" in event]
     assert len(freed) == 2, cell_run.events
     assert cell_run.statistics["missed"] <= 0.001 * cell_run.statistics["packets"]
@@ -192,7 +192,7 @@ ros.terminate()
 
 
 def beside_a_cell(monkeypatch: pytest.MonkeyPatch, command: Sequence[str], *more: str) -> tuple[Any, Any]:
-    """Run a client program, which gets the port of a cell; return the run of the cell and the program's JSON."""
+    """Run a client program, with the port of a cell; return the run of the cell and the program's JSON."""
     port, found = free_port(), list[Any]()
 
     def script() -> None:
@@ -217,7 +217,7 @@ def test_roslibpy_reads_sets_and_commands(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(numbers) >= 500
     assert len(numbers) >= 0.999 * (numbers[-1] - numbers[0] + 1)
     assert joint[-1] - joint[0] > 0.02
-    assert set(joint) <= set(np.asarray(cell_run.table["q"])[:, 3]), "what the client read is what was measured"
+    assert set(joint) <= set(np.asarray(cell_run.table["q"])[:, 3]), "the client read the measured values"
     assert any("rosbridge 127.0.0.1:" in event and "commands yumi_left." in event for _, event in cell_run.events)
     assert cell_run.statistics["parameters"]["gain"] == 3.0
 

@@ -1,4 +1,4 @@
-"""rosbridge without sockets: what a client says and hears in either dialect, what the loop is asked for, what waits."""
+"""rosbridge without sockets: messages from and to a client in either dialect, requests to the loop, and queues."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_subscriber_gets_rows_in_its_dialect(bench: Bench) -> None:
     assert first["msg"]["header"] == {"stamp": {"sec": 5, "nanosec": 250}, "frame_id": ""}
     assert second["msg"]["header"] == {"seq": 2, "stamp": {"secs": 5, "nsecs": 250}, "frame_id": ""}
     assert first["msg"]["position"] == bench.loop.robot.q_home.tolist()
-    assert first["msg"]["effort"] == [], "never zeros for what is not there"
+    assert first["msg"]["effort"] == [], "missing values are never zeros"
     assert third == first | {"topic": STATES[1:]}
 
 
@@ -63,7 +63,7 @@ def test_names_without_a_leading_slash_are_resolved_and_echoed_as_asked(bench: B
     bench.say(client, op="subscribe", topic="yumi_left/parameters")
     assert [one["topic"] for one in bench.heard(client)] == ["yumi_left/parameters"]
     bench.say(client, op="subscribe", topic=f"/{STATES}")
-    assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no other spelling"
+    assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no alternative spelling"
 
 
 def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:

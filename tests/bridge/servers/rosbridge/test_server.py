@@ -1,4 +1,4 @@
-"""`RosbridgeServer` as a process, with clients on WebSockets: who may, who waits, who does not read."""
+"""`RosbridgeServer` as a process, with WebSocket clients: permissions, waiting, and clients that do not read."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_rows_go_out_and_commands_come_back(start: Callable[..., Running]) -> No
     arbiter = running.exchange.arbiter
 
     def commanded() -> bool:
-        say(client, "publish", topic=POSITION, msg={"data": goal})  # again: a command holds for 100 ms only
+        say(client, "publish", topic=POSITION, msg={"data": goal})  # repeated: a command is valid for only 100 ms
         command = arbiter(running.state())
         is_ours = command is not None and command.q is not None and np.allclose(command.q, goal)
         return is_ours and arbiter.commander("yumi_right") == me
@@ -108,7 +108,7 @@ def test_rows_go_out_and_commands_come_back(start: Callable[..., Running]) -> No
         return other if they in arbiter.refused else client if me in arbiter.refused else None
 
     running.until(commanded)
-    second = running.until(refused)  # `client`, when it was silent for 100 ms
+    second = running.until(refused)  # `client`, after it has been silent for 100 ms
     say(other, "publish", topic="/yumi_right/stop", msg={})
     running.until(lambda: arbiter.stopped)
     assert (
@@ -199,7 +199,7 @@ def test_too_much_at_once_ends_the_connection_and_no_other(running: Running) -> 
 
 @pytest.mark.slow
 def test_a_token_over_tls(start: Callable[..., Running], tmp_path: Path) -> None:
-    """Uses the client of asyncio, because the client with threads sometimes waits forever with TLS."""
+    """Uses the asyncio client, because the threaded client sometimes waits forever with TLS."""
     secret = tmp_path / "token"
     secret.write_text(TOKEN)
     secret.chmod(0o600)

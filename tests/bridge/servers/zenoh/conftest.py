@@ -1,4 +1,4 @@
-"""A Zenoh server at the other end of an exchange, and sessions that are closed after the test."""
+"""A Zenoh server at the other end of a hub, and sessions that are closed after the test."""
 
 from __future__ import annotations
 

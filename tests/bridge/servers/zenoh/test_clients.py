@@ -1,4 +1,4 @@
-"""Clients of a bridge elsewhere over Zenoh: a controller that runs on its rows, and a viewer."""
+"""Clients of a remote bridge over Zenoh: a controller that runs on its rows, and a viewer."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_the_port_gives_rows_as_packets_also_after_a_restart(start: Start, robot
     codec.reset()
     assert codec.capabilities == {"position", "velocity"}
     assert packet(one, port, codec).seqno == 0
-    assert port.gaps.rows >= 1  # more were sent when the first took long
+    assert port.gaps.rows >= 1  # further rows were sent if the first took long
     assert port.gaps.lost == 0
     got = packet(one, port, codec)
     assert np.array_equal(got.q, robot.q_home)
@@ -277,7 +277,7 @@ def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start,
         again.tick = 10**6
         while feed.wait(0.0):  # rows of the run that has ended
             feed.receive()
-        feed._gaps["another"] = feed._gaps[robot.name]  # of an arm that the cell has no longer when it restarts
+        feed._gaps["another"] = feed._gaps[robot.name]  # of an arm that the restarted cell no longer has
         wire.mend()
         until(lambda: heard(again, "has restarted"))
         got.clear()
@@ -301,7 +301,7 @@ def test_rows_that_did_not_come_or_were_not_read_in_time_are_counted(
             return any(what(each) for each in got)
 
         until(lambda: read(lambda each: isinstance(each, Row)))
-        before = feed.lost  # Zenoh itself may drop some on a busy machine
+        before = feed.lost  # Zenoh itself may drop rows on a busy machine
         one.tick += 3
         until(lambda: read(lambda each: "so far" in str(each)) and feed.lost >= before + 3)
         last = one.tick - 1

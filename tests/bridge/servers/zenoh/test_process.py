@@ -1,4 +1,4 @@
-"""The Zenoh server: rows and events go out, commands, parameters and stops come back; and in whole cells."""
+"""The Zenoh server, alone and in complete cells: rows and events out; commands, parameters and stops in."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_what_is_no_command_gets_a_sentence(start: Start, session: Open, robot: 
             return is_told and any(re.search(words, answer.payload.to_string()) for answer in answers)
 
         answers.clear()
-        one.exchange.arbiter._answered.clear()  # each is answered at once
+        one.exchange.arbiter._answered.clear()  # answer each message immediately
         until(refused)
 
 

@@ -1,4 +1,4 @@
-"""Who may do what over Zenoh, on this computer: passwords, certificates, one user who commands."""
+"""Access control over Zenoh, on this computer: passwords, certificates, one user with command rights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Zenoh: sessions and their end, keys and attachments byte by byte, texts of bridges, rows that wait or are missing."""
+"""Zenoh: sessions and their end, keys and attachments byte by byte, bridge texts, queued and missing rows."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def test_the_answer_comes_and_a_question_is_not_repeated_at_once(session: Callab
     answering = router.declare_queryable("armlab/lab1/*/about", answer)
     told: list[tuple[str, str, bytes]] = []
     asking = Discovery(session(port), lambda *words: told.append(words))
-    until(lambda: asking.ask("lab1", "arm") or told)  # it does not know at once of who can answer
+    until(lambda: asking.ask("lab1", "arm") or told)  # the peers that can answer are not known immediately
     assert told[0] == ("lab1", "arm", b"here")
     before = len(asked)
     asking._due.clear()
@@ -186,7 +186,7 @@ def test_the_answer_comes_and_a_question_is_not_repeated_at_once(session: Callab
     assert answering is not None
     close_session(router)
     asking._due.clear()
-    asking.ask("lab1", "arm")  # nobody answers: nothing is raised
+    asking.ask("lab1", "arm")  # no answer: no error is raised
 
 
 def test_names() -> None:

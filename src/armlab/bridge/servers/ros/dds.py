@@ -340,7 +340,7 @@ class Readers:
         """Run a callback and log its errors, which would otherwise surface in C code."""
         try:
             with self._lock:
-                if reader in self._readers:  # `_begin` catches up on calls before the reader was complete
+                if reader in self._readers:  # earlier callbacks are ignored; `_begin` catches up
                     call(reader, *arguments)
         except Exception:
             _logger.exception("ros2")
@@ -357,7 +357,7 @@ class Readers:
             for sample in samples:
                 if sample.sample_info.valid_data:  # otherwise a writer has disconnected
                     self._take(name, sample.cdr, self._client(reader, _handle(sample.sample_info.publication_handle)))
-        if new := set(self._clients) - known:  # DDS does not report the end of a writer that was not yet known
+        if new := set(self._clients) - known:  # DDS does not report the departure of a writer that was not yet known
             for handle in new.difference(map(_handle, reader.get_matched_publications())):
                 self._gone(handle)
 

@@ -77,7 +77,7 @@ class Names:
 
 
 class Origin(NamedTuple):
-    """Attachment of a message: its number (from 1), time of writing [ns], and writer id (16 bytes)."""
+    """Attachment of a message: its number (from 1), write time [ns], and writer id (16 bytes)."""
 
     seq: int
     stamp_ns: int
@@ -101,7 +101,7 @@ class Origin(NamedTuple):
 
 
 class Writer:
-    """Numbers the messages of one writer."""
+    """Assigns numbers to the messages of one writer."""
 
     def __init__(self, token: str) -> None:
         self.id: bytes = _hashed(token)
@@ -128,7 +128,7 @@ _MOST = 4096  # maximum number of known writers; more are treated as a flood
 
 
 class Nodes:
-    """Nodes by the ids of their writers and service clients; all writers of a node count as one client."""
+    """Nodes, keyed by the ids of their writers and service clients; all writers of a node count as one client."""
 
     def __init__(self, left: Callable[[str], None]) -> None:
         self._left = left
@@ -147,12 +147,12 @@ class Nodes:
             self._left(client)
 
     def client(self, origin: Origin) -> str:
-        """Return the node of a message, ``/NODE@SESSION``, or the writer id if its token is unknown."""
+        """Return the node that sent a message, ``/NODE@SESSION``, or the writer id if its token is unknown."""
         return self._clients.get(origin.writer, origin.client)
 
 
 _CHECK_EVERY = 1.0  # s between checks of the readers
-_MAY_RETURN = 30.0  # s: numbering continues after a reader leaves, to reveal messages missed during a router restart
+_MAY_RETURN = 30.0  # s; numbering continues after a reader leaves, to reveal messages missed while a router restarts
 
 
 class RmwZenohServer(RosServer):
@@ -235,7 +235,8 @@ class RmwZenohServer(RosServer):
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Update the set of topics with readers; keep each topic for a while after a disconnection. Thread-safe."""
+        """Update the set of topics with readers; keep each topic for a while after its last reader disconnects.
+        Thread-safe."""
         now = time.monotonic()
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]

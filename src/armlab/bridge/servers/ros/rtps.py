@@ -29,7 +29,7 @@ _DATA, _FRAGMENT, _HEARTBEAT, _ACKNACK, _NACK_FRAGMENT, _GAP = 0x15, 0x16, 0x07,
 _SOURCE, _DESTINATION = 0x0C, 0x0E
 _SPDP, _PUBLICATIONS, _SUBSCRIPTIONS = b"\0\1\0\xc2", b"\0\0\3\xc2", b"\0\0\4\xc2"
 _PARTICIPANT, _ANY, _ENDPOINTS = b"\0\0\1\xc1", bytes(4), 0x3F
-_RESPONSES, _REQUESTS = b"\x03", b"\x04"  # entity kinds of a writer and a reader without key
+_RESPONSES, _REQUESTS = b"\x03", b"\x04"  # entity kinds of a keyless writer and a keyless reader
 _VERSION, _NO_VENDOR, _CYCLONE = b"\2\3", b"\0\0", b"\x01\x10"
 _HEADER = b"RTPS" + _VERSION + _NO_VENDOR
 _CLIENT = slice(4, 20)  # client and request number, which rmw_cyclonedds writes before the fields
@@ -83,7 +83,8 @@ def _message(kind: int, flags: int, body: bytes) -> bytes:
 
 
 def _data(writer: bytes, number: int, payload: bytes, inline: bytes = b"") -> bytes:
-    """Return a DATA message for any reader, because the known reader may be replaced before the message arrives."""
+    """Return a DATA message addressed to any reader, because the known reader may be replaced before the message
+    arrives."""
     head = struct.pack("<HH", 0, 16) + _ANY + writer + _sn(number)
     if inline:
         inline += _parameter(1, b"")
@@ -126,7 +127,7 @@ class _Writer:
     last: int = 0
     owners: dict[int, bytes] = field(default_factory=dict)  # requesting participants, whose readers may appear later
     acknowledged: dict[bytes, int] = field(default_factory=dict)  # last number acknowledged by each reader
-    heard: set[bytes] = field(default_factory=set)  # readers that have answered a heartbeat; others get empty ones
+    heard: set[bytes] = field(default_factory=set)  # readers that answered; others get empty heartbeats
 
     def forget(self, reader: bytes) -> None:
         self.acknowledged.pop(reader, None)
@@ -140,7 +141,7 @@ class _Writer:
 
 @dataclass
 class _Reader:
-    """Reliable reader of one remote writer, with the messages received out of order."""
+    """Reliable reader of one remote writer; keeps messages received out of order."""
 
     next: int = 1
     early: dict[int, bytes] = field(default_factory=dict)
@@ -195,7 +196,7 @@ class _Peer:
 
 
 class ServiceServers:
-    """Service servers, run in a separate thread."""
+    """Service servers that run in a separate thread."""
 
     def __init__(
         self,
@@ -213,7 +214,7 @@ class ServiceServers:
         self._prefix = _NO_VENDOR + os.urandom(10)
         self._lock = threading.RLock()
         self._publications, self._subscriptions = _Writer(_PUBLICATIONS), _Writer(_SUBSCRIPTIONS)
-        self._services: dict[bytes, Service] = {}  # by its request reader
+        self._services: dict[bytes, Service] = {}  # keyed by request reader
         self._writers: dict[bytes, _Writer] = {_PUBLICATIONS: self._publications, _SUBSCRIPTIONS: self._subscriptions}
         self._topics: dict[str, bytes] = {}
         self._peers: dict[bytes, _Peer] = {}
@@ -232,7 +233,7 @@ class ServiceServers:
             ):
                 self._topics[topic] = number + kind
                 writer.add(self._endpoint(number + kind, topic, type_name(type_)))
-        self._counts = itertools.count(1)  # for heartbeats and acknowledgements, which are ignored unless it increases
+        self._counts = itertools.count(1)  # receivers ignore messages whose count does not increase
         self._announced, self._ticked, self._vendor = 0.0, 0.0, _NO_VENDOR
         self._over = False
         self._thread = threading.Thread(target=self._run, name="services over DDS")
@@ -332,7 +333,7 @@ class ServiceServers:
                         self._heartbeat(writer, guid)
 
     def _heartbeat(self, writer: _Writer, reader: bytes, *before: bytes) -> None:
-        """Send a reader a heartbeat listing the available messages, optionally preceded by messages."""
+        """Send a reader the given messages (if any), followed by a heartbeat that lists the available messages."""
         peer = self._peers.get(reader[:12])
         if peer is None:
             return
@@ -445,7 +446,7 @@ class ServiceServers:
             return
         order = "<" if payload[1] & 1 else ">"
         meta = default = None
-        lease = float(_LEASE)  # upper limit, because goals of a crashed client continue until then
+        lease = float(_LEASE)  # upper limit, because goals of a crashed client continue until the lease expires
         for pid, value in _listed(payload):
             if pid == 0x32 and meta is None:
                 meta = self._place(value, order)

@@ -25,7 +25,7 @@ from armlab.robots import Robot
 _KINDS = {"position": "q", "velocity": "qd", "effort": "tau"}
 _SPELLINGS = ("command", "commands")  # in ROS 1 and ROS 2
 _NUMBERS, _TEXT, _EMPTY = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String", "std_msgs/msg/Empty"
-_LONGEST = 65536  # maximum length of a text in characters
+_LONGEST = 65536  # maximum text length in characters
 _NUMERIC = {int, float, type(None)}  # excludes bool, a subclass of int; null stands for a non-finite number
 
 
@@ -99,7 +99,7 @@ def _settings(topic: str, content: Any) -> dict[str, Any]:
     return values
 
 
-_AGAIN = 1.0  # s between publications of the parameters, for new readers
+_AGAIN = 1.0  # s between publications of the parameters, so that new readers receive them
 
 
 class RosServer:

@@ -133,7 +133,7 @@ class Settings:
                 self._waiting.append(_Setting(client, values, done, now_ns + _ANSWER))
 
     def confirm(self) -> None:
-        """Confirm to the clients the settings that have taken effect."""
+        """Confirm applied settings to their clients."""
         with self._settling():
             for one in [one for one in self._waiting if one.sequence is not None]:
                 about = self._loop.parameters[next(iter(one.values))]

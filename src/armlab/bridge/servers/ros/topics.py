@@ -263,7 +263,7 @@ class Topics:
         self.answer = ""
         self._schema, self._robots, self._status = schema, dict(robots), Status(schema)
         self._due, self._tf_due, self._last = 0, 0, b""
-        self._silence: tuple[bytes, int] | None = None  # last row, and start of the silence
+        self._silence: tuple[bytes, int] | None = None  # last row, and start of the period without rows
         self._places = {name: places(schema, name) for name in robots}
         self._makers = {f"/{robot}/{name}": (robot, make) for robot in robots for name, (_, make) in TOPICS.items()}
         types = {name: type_ for name, (type_, _) in TOPICS.items()} | _ONCE_A_SECOND

@@ -23,8 +23,8 @@ from armlab.bridge.servers.ros.topics import RosTopic, store
 from armlab.bridge.servers.ros1 import relay
 from armlab.errors import LinkError
 
-_ROOM = 500  # maximum number of messages queued for a slow node: 2 s of one topic
-_SEND_BUFFER = 65536  # bytes; with the default size, a slow node would receive 30 s old data
+_ROOM = 500  # maximum number of messages queued for a slow node: 2 s of data on one topic
+_SEND_BUFFER = 65536  # bytes; with the default size, a slow node would receive data that is 30 s old
 _MOST = 64  # maximum number of connections
 _SIZE = struct.Struct("<I")
 _SIZE_AND_SEQ = struct.Struct("<II")

@@ -18,7 +18,7 @@ import threading
 from pathlib import Path
 
 _LARGEST = 2**17
-_COMMAND = 65536  # maximum bytes of a command, as for a request to the loop
+_COMMAND = 65536  # maximum size of a command in bytes, as for a request to the loop
 _NAME = 256  # maximum length of a node name, which the node chooses
 _CHECK_EVERY = 0.5  # s between checks of the master
 _PATIENCE = 3.0  # s for the master to answer
@@ -57,7 +57,7 @@ class _Node:
         self._lock, self._handed = threading.Lock(), {}
         listener = self._listener()
         types = {name: _type(name) for name in {*about["published"].values(), *about["taken"].values()}}
-        self._publishers = {  # rospy only accepts connections; the bridge writes
+        self._publishers = {  # rospy only accepts connections; the bridge writes the messages
             topic: rospy.Publisher(topic, types[name], queue_size=1)
             for topic, name in about["published"].items()
             if types[name] is not None
@@ -73,7 +73,7 @@ class _Node:
             self._hand_over(publisher)  # subscribers that connected earlier
 
     def run(self):
-        """Handle messages from the bridge until the input closes: log texts and connections to close."""
+        """Handle messages from the bridge until the input closes: texts to log, and connections to close."""
         while True:
             data = self._pipe.recv(_LARGEST)
             if not data:
@@ -108,7 +108,7 @@ class _Node:
         try:
             number = array.array("i", [one.socket.fileno()])
             self._pipe.sendmsg([json.dumps(message).encode()], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
-        except (AttributeError, OSError):  # closed or refused by the system; end it, else the node would wait forever
+        except (AttributeError, OSError):  # closed or refused; without an end, the node would wait forever
             _end(one)
             return False
         return True
@@ -126,7 +126,7 @@ class _Node:
         """Send a message to the bridge unless it is too long; return its size in bytes."""
         data = json.dumps(fields).encode()
         if len(data) <= _COMMAND:
-            with contextlib.suppress(OSError):  # the bridge does not read; newer commands follow
+            with contextlib.suppress(OSError):  # the bridge is not reading; newer commands will follow
                 self._pipe.send(data, socket.MSG_DONTWAIT)
         return len(data)
 

@@ -221,7 +221,7 @@ class Engine:
         self._goals.row(data, now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
-        """Handle a message from the loop other than a row."""
+        """Handle a message from the loop that is not a row."""
         self._now_ns = now_ns
         if message["kind"] == "parameters":
             self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)

@@ -190,7 +190,7 @@ _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 def read_operation(data: bytes | str) -> Operation:
     if isinstance(data, bytes):
-        raise CommandRefused(f"Expected a text message with JSON, got a binary message of {len(data)} bytes.")
+        raise CommandRefused(f"Expected a JSON text message, got a binary message of {len(data)} bytes.")
     if len(data) > LARGEST:
         raise CommandRefused(f"Expected a message of at most {LARGEST} characters, got {len(data)}.")
     try:
@@ -269,7 +269,7 @@ class Rosapi:
             "get_param": ("GetParam", ("name", "default"), self._get_param),
             "has_param": ("HasParam", ("name",), self._has_param),
             "delete_param": ("DeleteParam", ("name",), _refuse_to_delete),
-            "set_param": ("SetParam", ("name", "value"), lambda given, dialect: {}),  # by the loop: see `Engine`
+            "set_param": ("SetParam", ("name", "value"), lambda given, dialect: {}),  # set by the loop; see `Engine`
         }
         self.services: tuple[str, ...] = tuple(f"/rosapi/{name}" for name in self._made)
 

@@ -108,7 +108,7 @@ def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
 
 
 _CLIENTS = 16
-_SEND_BUFFER = 65536  # bytes; with the default size, a slow client would receive 30 s old data
+_SEND_BUFFER = 65536  # bytes; with the default size, a slow client would receive data that is 30 s old
 _KEPT = 100  # number of disconnected clients whose counts are kept
 _TICK = 0.1  # s between calls of `Engine.tick`
 _WRITE_LIMIT = 16384  # bytes buffered in the process before a send blocks
@@ -141,7 +141,7 @@ class RosbridgeServer:
             ssl=self._access.context,
             origins=self._access.origins,
             process_request=self._judge,
-            compression=None,  # compression would take longer than everything else
+            compression=None,  # compression would take longer than all other work
             max_size=LARGEST,
             write_limit=_WRITE_LIMIT,
             close_timeout=_CLOSING,

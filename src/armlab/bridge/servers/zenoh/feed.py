@@ -122,7 +122,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
                     there = [robot for robot in self._gaps if robot in self._schema.robots]
                     self._gaps = {robot: Gaps(self._schema, robot) for robot in there}
                 return message
-            if message[8:16] == self._schema.id:  # otherwise from a run that has not been announced yet
+            if message[8:16] == self._schema.id:  # otherwise the row is from a run that has not been announced yet
                 row = read_row(self._schema, message)
                 self._count(row, message)
                 return row
@@ -170,7 +170,7 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
             self._discovery.ask(self._place.lab, self._arm)
         elif (data := undamaged(sample)) is None:
             self.damaged += 1
-            if self.damaged & (self.damaged - 1) == 0:  # at 1, 2, 4, ..., to limit the events
+            if self.damaged & (self.damaged - 1) == 0:  # report at 1, 2, 4, ... to limit the number of events
                 self._report(f"Rows arrived corrupted and were dropped: {self.damaged} so far.")
         elif self._pace is None or self._pace.takes([robot_of(str(sample.key_expr))], time.monotonic()):
             self._take(data)

@@ -64,7 +64,7 @@ def data_of(part: Any) -> bytes | None:
     return None if part is None else part.to_bytes()
 
 
-_LARGEST = 2**17  # maximum bytes of a message from the loop; a reply to "about" contains at most three messages
+_LARGEST = 2**17  # maximum size of a message from the loop in bytes; a reply to "about" contains at most three messages
 _Count = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 
 

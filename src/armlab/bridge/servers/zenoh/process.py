@@ -25,9 +25,9 @@ from armlab.errors import CommandRefused
 
 _VIEW = 33_000_000  # ns between rows on the key "view"
 _STATUS = 500_000_000  # ns between status messages
-_LONGEST = 65536  # maximum bytes of a setting
+_LONGEST = 65536  # maximum size of a setting in bytes
 _MOST = 64  # maximum number of joints
-_CLIENTS = 256  # maximum number of clients whose robot is kept for answers
+_CLIENTS = 256  # maximum number of clients whose robot is stored for addressing answers
 _MONO = struct.Struct("<q")
 _UNKNOWN = "unknown"
 
@@ -143,7 +143,7 @@ class ZenohProcess:
             query.reply(key(self._lab, robot, "schema"), self._loop.schema.text)
 
     def _about(self, robot: str, query: Any) -> None:
-        """Reply with the initial data of a viewer: cell, arms, row schema, parameters and recording."""
+        """Reply with the initial data for a viewer: cell, arms, row schema, parameters and recording."""
         messages = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
         messages += [self._recording] if self._recording else []
         with query:

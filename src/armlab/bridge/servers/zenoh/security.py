@@ -29,7 +29,7 @@ class Security:
     ca: Path | None = None  # certificate of the lab's certificate authority; enables TLS
     certificate: Path | None = None  # certificate of this end, for listening
     key: Path | None = None
-    users: Path | None = None  # lines "user:password" of the allowed users, of whom only `COMMANDER` may command
+    users: Path | None = None  # lines "user:password" of the allowed users, of whom only `COMMANDER` may send commands
     secret: Path | None = None  # one line "user:password", the credentials of this end
 
     def __post_init__(self) -> None:

@@ -20,17 +20,17 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to accept a connection
-_ROOM = 16  # messages queued per connection (the maximum); two are too few while a process is not scheduled
+_ROOM = 16  # messages queued per connection (the maximum); two would be too few while a process is not scheduled
 _BEFORE_DROP = 20_000  # us before the first drop, because a slow reader may only be waiting for the processor
-_BEFORE_CLOSE = 250_000  # us until a blocked link closes, after seconds of buffering; a blocked put delays declarations
-_TRIES = 2  # attempts to become or find a router, because a router may end in between
+_BEFORE_CLOSE = 250_000  # us until a link closes that has been blocked since its buffers filled
+_TRIES = 2  # attempts to become or find a router, because a router may exit between the two steps
 _FOUND = 1.0  # s allowed for finding a router on this computer
 _ANYWHERE = "0.0.0.0"
 # Maximum size of a fragmented message. Our largest message, a reply to "about", has three texts of 2**17 bytes. Our
 # router also forwards messages of other programs, such as small images.
 _LARGEST = 2**20
 _ANSWERS = 2**26  # bytes of all replies to a query: a few KiB from each of a thousand bridges
-_UNUSED = "127.0.0.2"  # local address used only by programs that listen at every address
+_UNUSED = "127.0.0.2"  # local address used only by programs that listen on every address
 
 _open: set[Any] = set()
 _lock = threading.Lock()
@@ -94,14 +94,15 @@ def open_session(
 def open_near(
     host: str, port: int, router: str = "", security: Security | None = None, commands: bool = False
 ) -> tuple[Any, str]:
-    """Return a server session and its location as text; the session is a router unless the port already has one.
+    """Return a server session and its location as text; the session is a router unless another router already uses the
+    port.
 
     If another server's router uses the port, the session joins it and listens on a port chosen by the system. `router`
     is the "HOST:PORT" of a router on another computer.
     """
     safe = security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
-    is_open = commands and not safe.is_safe  # whether any client could command
+    is_open = commands and not safe.is_safe  # whether any client could send commands
     if router:
         _check_router(router, is_open)
     else:
@@ -173,7 +174,7 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
-        except OSError:  # in use at every address or, on some systems, possibly at only one other address
+        except OSError:  # in use on every address or, on some systems, possibly on only one other address
             if is_open:
                 raise ConfigError(
                     f"Expected a Zenoh router that listens only on this computer, but the router at port {port} "
@@ -184,7 +185,7 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
             return
     if host == _ANYWHERE:
         raise LinkError(
-            f"Expected TCP port {port} to be free at every address, but another "
+            f"Expected TCP port {port} to be free on every address, but another "
             "router already uses the port for connections from this computer only. "
             "Choose another `port`, or give both servers the same --listen."
         )
@@ -342,7 +343,7 @@ class LabAddress(NamedTuple):
         return found[0][1]
 
 
-_WAITING = 2500  # rows queued for a slow recorder: 10 s of one arm
+_WAITING = 2500  # rows queued for a slow recorder: 10 s of data from one arm
 _LAST = 1.0  # s to send the queue when closing
 
 

@@ -1,4 +1,4 @@
-// An action client in C++ with Fast DDS and default settings, as rmw_fastrtps is one: see actions.c.
+// Action client in C++ with Fast DDS and default settings, like rmw_fastrtps; see actions.c.
 #include <chrono>
 #include <cmath>
 #include <cstdio>

@@ -1,4 +1,4 @@
-"""A node in Python with cyclonedds and its own codec, nothing of armlab: DOMAIN COUNT FROM TO; see cyclone.c."""
+"""Python node with cyclonedds and its own codec, independent of armlab: DOMAIN COUNT FROM TO; see cyclone.c."""
 
 import sys
 import time

@@ -1,5 +1,5 @@
-// A node in C++ with Fast DDS: DOMAIN COUNT FROM TO [default]; see cyclone.c. It uses 127.0.0.1 only; with "default" it
-// has the settings of a program without a profile, as rmw_fastrtps_cpp has.
+// A node in C++ with Fast DDS: DOMAIN COUNT FROM TO [default]; see cyclone.c. It uses only 127.0.0.1; with "default",
+// it has the settings of a program without a profile, like rmw_fastrtps_cpp.
 #include <atomic>
 #include <chrono>
 #include <cstdio>

@@ -1,6 +1,6 @@
-"""A node by zenoh-ros2-sdk, nothing of armlab: PORT STATES COMMANDS; definitions of messages on standard input.
+"""Node that uses zenoh-ros2-sdk, independent of armlab: PORT STATES COMMANDS; message definitions on standard input.
 
-The SDK fetches definitions that it lacks from the network, so all are written to its own folder first. Its command
+The SDK downloads missing definitions, so all definitions are written to its own folder first. Its command
 line starts a daemon that lives for two hours; its classes, which are used here, do not.
 """
 
