@@ -114,7 +114,7 @@ def prepare(path: Path, file: str) -> Mutant:
     (BUILT / "beside.cpp").write_text((NATIVE / BESIDE).read_text())
     for one in ("nanobind", "module", "beside", "mutant"):
         _compile(one)
-    (BUILT / "mutant.o").rename(BUILT / ORIGINAL)  # compiled as ORIGINAL, because object files name their source
+    (BUILT / "mutant.o").rename(BUILT / ORIGINAL)  # compiled from mutant.cpp: objects contain that name
     return Mutant(file, "", "", "", f"{path.read_text()}int beside;\n")
 
 

@@ -1,7 +1,7 @@
 """Mutants of a file, and their substitution for the original in this process.
 
-mutmut generates them: its operators apply in their usual scope. Three rules are added: decorated functions are also
-mutated, conditions are forced to true and to false, and calls are removed. Strings with spaces are not mutated.
+mutmut generates them with its own operators and scope. Three rules are added: decorated functions are also mutated,
+conditions are forced to true and to false, and calls are removed. Strings with spaces are not mutated.
 """
 
 from __future__ import annotations

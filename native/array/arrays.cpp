@@ -216,8 +216,8 @@ Output::Output(nb::handle out, const char *name, const Tail &tail,
     if (overlap(pointer(), input->data(), input->size()))
       refuse(std::string("an array that shares memory with ") + input->name());
   // Streaming stores halve the time for outputs too large for the caches, such as a million
-  // Jacobians. They do not help with fresh memory, because the system has just cleared its pages, which
-  // are still in a cache.
+  // Jacobians. They do not help with fresh memory, because the system has just cleared its pages,
+  // which are still in a cache.
   const auto address = reinterpret_cast<std::uintptr_t>(PyArray_DATA(pointer()));
   streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
 }

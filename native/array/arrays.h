@@ -34,7 +34,8 @@ using nb::arg;
 
 class Input;
 
-// Reject numbers that are not finite; the second and third also reject numbers <= 0 and < 0, respectively.
+// Reject numbers that are not finite; the second and third also reject numbers <= 0 and < 0,
+// respectively.
 void require_finite(const Input &input);
 void require_positive(const char *name, const double *values, npy_intp count);
 void require_not_negative(const char *name, const double *values, npy_intp count);

@@ -1,5 +1,5 @@
-// Runs a kernel over a batch, four samples side by side. Threads exist only during a call, so a fork cannot break a
-// thread pool or global state.
+// Runs a kernel over a batch, four samples side by side. Threads exist only during a call, so a
+// fork cannot break a thread pool or global state.
 #pragma once
 
 #include <algorithm>

@@ -24,8 +24,8 @@ void refuse_no_rotation(const Samples &R, const std::string &name, int stride = 
 void refuse_no_pose(const Samples &T, const std::string &name);
 void refuse_not_unit(const Samples &q);
 
-// Replaces rounded rotations with the nearest rotations, in a copy if there are any. The matrices are
-// rotations (3, 3) or poses (4, 4).
+// Replaces rounded rotations with the nearest rotations, in a copy if there are any. The matrices
+// are rotations (3, 3) or poses (4, 4).
 void restore_digits(Input &matrices);
 
 template <class Real>

@@ -91,7 +91,7 @@ class Datagrams {
     return sent;
   }
 
-  // The descriptor must be dropped, because the system may reuse it after closing.
+  // The descriptor must be dropped, because the system may reuse it once the socket is closed.
   void close() {
     fd_ = -1;
     socket_.attr("close")();

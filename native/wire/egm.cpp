@@ -1,9 +1,9 @@
 // Conversion of EGM datagrams to packets, and of references to datagrams. Documented in
 // armlab/kernels/_native.pyi.
 //
-// Field numbers are those of armlab_egm.proto. A datagram is accepted if and only if protobuf accepts it, with one
-// exception: protobuf counts messages towards its limit of 100 nested groups, but this reader counts only the groups
-// within each message.
+// Field numbers are those of armlab_egm.proto. A datagram is accepted if and only if protobuf
+// accepts it, with one exception: protobuf counts messages towards its limit of 100 nested groups,
+// but this reader counts only the groups within each message.
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 

@@ -277,7 +277,8 @@ class RowPacker {
   std::size_t short_ = std::string::npos;
 };
 
-// object.__setattr__ for each slot takes a tenth of the time of a frozen dataclass's constructor.
+// Sets each slot as object.__setattr__ would, in a tenth of the time of a frozen dataclass's
+// constructor.
 nb::object filled(nb::handle kind, nb::tuple slots, nb::tuple values) {
   if (!PyType_Check(kind.ptr()) || slots.size() != values.size())
     throw nb::type_error("Expected a class, its slots and one value per slot.");

@@ -32,7 +32,7 @@ def robot() -> Robot:
 
 @pytest.fixture
 def cell_text() -> str:
-    """Return the file of a cell with one arm in lockstep, two parameters and a LabComm server."""
+    """Return the text of a cell file: one arm in lockstep, two parameters and a LabComm server."""
     return """
 name = "yumi"
 commands = ["local"]
@@ -240,7 +240,7 @@ def play(robot: Robot) -> Iterator[Play]:
 
 @pytest.fixture
 def make_peer() -> Iterator[Callable[[Robot, int], Peer]]:
-    """Return a factory of peers that are closed after the test."""
+    """Return a factory for peers that are closed after the test."""
     made: list[Peer] = []
 
     def make(robot: Robot, port: int) -> Peer:

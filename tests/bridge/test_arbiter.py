@@ -148,7 +148,7 @@ def test_the_lease_lasts_to_its_last_nanosecond_from_when_the_command_came() -> 
 
 
 def test_a_lease_ends_also_while_nobody_asks_for_commands() -> None:
-    """While the arms are not ready, rows contain no commander, and other clients may set parameters."""
+    """Once the lease has ended, rows contain no commander and others may set parameters, even if no arm is ready."""
     bench = Bench()
     bench(order())
     for after, holds in ((LEASE, True), (1e-9, False)):

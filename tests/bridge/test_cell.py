@@ -270,7 +270,7 @@ def rows(feed: LocalFeed) -> Iterator[Any]:
 def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
     cell_text: str, bench: Bench, tmp_path: Path
 ) -> None:
-    """Two arms; the parameter history is in both logs; only this computer is reached. Takes 4 s."""
+    """Two arms; the parameter history is in both logs; the bridge listens only on 127.0.0.1. Takes 4 s."""
     both = cell_text.replace("?lockstep=true", "").replace(
         "[parameters.gain]", '[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n[parameters.gain]'
     )
@@ -343,7 +343,7 @@ def test_torques_of_a_client_reach_the_arm_within_the_bound(
 
 @pytest.mark.slow
 def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench, over: threading.Event) -> None:
-    """The loop is not affected either when the LabComm server is killed; the server restarts. Takes 5 s."""
+    """Killing the LabComm server does not affect the loop either; the server restarts. Takes 5 s."""
 
     def script(ports: dict[str, int]) -> None:
         places = [("127.0.0.1", ports[name]) for name in ("yumi_left", "fused")] * 5

@@ -452,7 +452,7 @@ def test_records_of_poses_in_another_reading_are_refused_by_name(text: str, setu
 
 
 def test_quaternions_of_both_records_in_another_order_leave_rotations_that_fit() -> None:
-    """Only the positions reveal it, here by a tenth of their spread; the fit was once silently wrong by 0.4 m."""
+    """Only the positions reveal the wrong order, here by a tenth of their spread; fits were once silently 0.4 m off."""
     rng = np.random.default_rng(39)
     X, Y = se3.exp(0.1 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
     A = se3.from_rp(so3.exp(rng.standard_normal((30, 3))), rng.uniform(-0.5, 0.5, (30, 3)))

@@ -307,7 +307,7 @@ def test_the_statistical_contract() -> None:
     (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
 ], ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"])  # fmt: skip
 def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, runs: int) -> None:
-    """Errors over validation poses match the Cramer-Rao bound to within three standard errors of their ratio."""
+    """Errors over validation poses exceed the Cramer-Rao bound by at most 5 % plus 3 standard errors of the ratio."""
     mm, degrees = [], []
     for i in range(runs):
         run, options = make(i)
@@ -323,7 +323,7 @@ def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, run
 
 
 def test_distances_to_an_unknown_point() -> None:
-    """K5, 12 runs: distances from the anchor to validation poses reach the bound of 0.0250 mm."""
+    """K5, 12 runs: errors of distances from the anchor to validation poses are near the bound of 0.0250 mm."""
     found = []
     for i in range(12):
         run = cell(2300).distances(i)

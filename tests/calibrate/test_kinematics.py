@@ -343,7 +343,7 @@ class TestGeometry:
 
 class TestJointErrors:
     def test_it_is_reached_by_the_positions_that_are_asked_for(self, waved) -> None:
-        """Inverse kinematics, then `command`: the true arm reaches the goals, otherwise it is 0.3 mm off."""
+        """Inverse kinematics, then `command`: the true arm reaches the goals; without `command`, it is 0.3 mm off."""
         robot, truth, fit = waved
         goals = truth.forward(postures(robot))
         there = kinematics.inverse(fit.value.robot, goals, postures(robot)).q

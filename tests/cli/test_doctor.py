@@ -38,8 +38,7 @@ def simulated(port: int, *words: str) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Streaming without guidance gives a warning. Takes about 3 s, including one or two for the start of the
-    simulator."""
+    """Streaming without guidance gives a warning. Takes about 3 s; the simulator needs 1 to 2 s to start."""
     monkeypatch.setattr("armlab.bridge.doctor.report.machine", lambda seconds: [])
     port = free_port()
     with simulated(port):

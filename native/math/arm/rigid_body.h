@@ -192,7 +192,8 @@ struct Body {
   }
 };
 
-// M (n, n) by the composite-rigid-body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, 6.2).
+// M (n, n) by the composite-rigid-body algorithm (Featherstone, Rigid Body Dynamics Algorithms,
+// 2008, 6.2).
 template <class Real>
 inline void mass_matrix(const Bodies &arm, const Real *q, Real *M) {
   const Chain &chain = arm.chain;

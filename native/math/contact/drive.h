@@ -130,8 +130,8 @@ class Drive {
     state.warmth = power + (state.warmth - power) * std::exp(-dt / w.time);
   }
 
-  // Derivatives of the friction of joint i with respect to its parameters: viscous, Coulomb in each direction,
-  // offset, Stribeck, root, load.
+  // Derivatives of the friction of joint i with respect to its parameters: viscous, Coulomb in each
+  // direction, offset, Stribeck, root, load.
   void columns(int i, double qd, double x, const DriveState &state, double *out) const {
     const double s = sign(i, qd, state), slow = qd / friction[i].stribeck_speed;
     const double made[] = {qd, std::max(s, 0.0), std::min(s, 0.0), 1.0,

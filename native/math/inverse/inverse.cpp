@@ -8,7 +8,8 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
-// Fraction of the joint range by which postures in the second half of the table may exceed the limits before clamping.
+// Fraction of the joint range by which postures in the second half of the table may exceed the
+// limits before clamping.
 constexpr double over_limits = 0.5;
 constexpr double nearly = 1e-4;  // rad, largest error attributed to a singular posture
 constexpr int turns = 16;        // rotations along the weakest direction, both ways
@@ -56,7 +57,8 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     double *q = &angles_[k * n];
     const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
-      // With one limit or none: a range of one revolution, or twice the arm length, from that limit or about zero.
+      // With one limit or none, the range is one revolution (prismatic: twice the arm length), and
+      // begins or ends at that limit or is centred on zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;

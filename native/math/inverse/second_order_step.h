@@ -1,7 +1,8 @@
 // A step near a singular posture, where first-order steps stall. See inverse.h.
 //
-// Near a singularity, joint motions hardly change the residual along one direction u. The other rows
-// determine all joint motions except z. The remaining scalar equation needs its second-order term:
+// Near a singularity, joint motions hardly change the residual along one direction u. The other
+// rows determine all joint motions except z. The remaining scalar equation needs its second-order
+// term:
 //   u^T e = u^T J d + u^T S(d, d) / 2,   d = N z,   S(d, d) = (dJ/dq d) d
 // N (n, n - M + 1) spans the joint motions that J maps to multiples of u.
 #pragma once

@@ -1,7 +1,8 @@
 // A movement primitive for orientations, with time in units of tau, ' = d/d(t/tau), and z = tau w
 // in base axes:
 //
-//   q' = z q / 2,   z' = stiffness e - alpha z + map f,   e = rotation vector of goal q^-1 along the shorter arc
+//   q' = z q / 2,   z' = stiffness e - alpha z + map f,
+//   e = rotation vector of goal q^-1 along the shorter arc
 //
 // f is the forcing of a primitive with three coordinates; map (3, 3) rotates and scales it. An RK4
 // step uses the chart exp(theta) q around its initial orientation, theta' = z - theta x z / 2 +

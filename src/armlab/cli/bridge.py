@@ -322,5 +322,5 @@ def table(watch: Watch, now_ns: int) -> RenderableType:
     for k, arm in enumerate([{"arm": ""}, *arms]):
         shown.add_column(arm["arm"], no_wrap=k == 0)
     for key in list(arms[0])[1:]:
-        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # rich reads brackets as markup
+        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # Text: rich treats brackets in str as markup
     return Group(shown, Text("\n".join(watch.notes())))

@@ -102,8 +102,7 @@ class SurroundingOptions:
 
     Attributes:
         operator: CSV file of the wrench applied to the first robot, with columns t,fx,fy,fz,mx,my,mz: time since the
-        start of
-            guidance [s], then force [N] and moment [N m] in base axes at the tool point. Rows are interpolated
+            start of guidance [s], then force [N] and moment [N m] in base axes at the tool point. Rows are interpolated
             linearly.
         hand: With --program lead-through: CSV file of the path along which a hand leads the first robot, t,q1,q2,... in
             rad; default: a random smooth path.
@@ -314,8 +313,8 @@ def sim(
         robot: Library names or robot files, one per motion task. Omit them with --axes.
         to: HOST:PORT of the bridge; for several robots, one address each, separated by commas.
         lockstep: Wait for each reply, and run as fast as the bridge replies; runs with the same seed produce identical
-        bytes. seed: Seed of the noise, the faults and the random hand; for several robots, optionally one seed each,
-        separated
+            bytes.
+        seed: Seed of the noise, the faults and the random hand; for several robots, optionally one seed each, separated
             by commas.
         seconds: Stop after this time, measured by the robot's clock [s]; default: run until Ctrl-C.
         extension: Also send velocities and torques (research extension, field 101), and accept torque and gain

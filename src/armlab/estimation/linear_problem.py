@@ -299,8 +299,7 @@ class LinearProblem:
         if low.shape != (p,) or high.shape != (p,) or not np.all(low < high):
             raise ShapeError(
                 f"Expected {p} lower bounds below the {p} corresponding upper bounds, got shapes {low.shape} and "
-                f"{high.shape}. "
-                "Use -inf and inf where there is no bound."
+                f"{high.shape}. Use -inf and inf where there is no bound."
             )
         return cls(tuple(names), what, low, high, prior, max_condition)
 
@@ -395,7 +394,7 @@ def solve(
         return _solve_once(problem, factors, groups, kept, weights)
     rows, widths = factors.rows[kept].sum(axis=0), np.array([len(R) - 1 for R in groups])
     spread = np.array([np.linalg.norm(R[:, -1]) for R in groups]) / np.sqrt(np.maximum(rows, 1))
-    alone = np.abs([R[-1, -1] for R in groups]) / np.sqrt(np.maximum(rows - widths, 1))  # residual of a separate fit
+    alone = np.abs([R[-1, -1] for R in groups]) / np.sqrt(np.maximum(rows - widths, 1))  # residual of single-class fits
     weights = _inverse(np.where(rows > 2 * widths, alone, spread), spread)
     for _ in range(ROUNDS):
         solution = _solve_once(problem, factors, groups, kept, weights)

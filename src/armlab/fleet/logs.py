@@ -188,8 +188,8 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
     read = {log.resolve() for log in paths.values()}
     if over := [path for path in found.values() if path.resolve() in read]:
         raise ConfigError(
-            f"Expected new output files, but {len(over)} are inputs, the first being {over[0]}. Choose another folder "
-            f"or format."
+            f"Expected new output files, but {len(over)} are inputs, the first being {over[0]}. "
+            "Choose another folder or format."
         )
     there = [path for path in found.values() if path.exists()]
     if there and not force:

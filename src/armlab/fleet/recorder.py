@@ -170,7 +170,7 @@ class FleetRecorder:
 _WAITING = 2500  # rows waiting for their description: 10 s
 _STRANGE = 64  # number of remembered schemas of invalid rows
 _UNANSWERED = 5.0  # s after which rows without a description are abandoned
-_AGAIN = 10.0  # s between a write failure and the next attempt
+_AGAIN = 10.0  # s between a failure to open or write a file and the next attempt
 _SILENT = 60.0  # s without a row after which a file is finished
 _MOST_HOLES = 10_000  # maximum number of gaps listed in a file
 

@@ -27,7 +27,7 @@ P_VALUE = 1e-3  # p-value of a closure error below which a loop is reported
 
 Steps = list[tuple[int, int]]
 CLASSES = ("position",) * 3 + ("rotation",) * 3
-LIMIT = 0.2  # largest accepted standard deviation: angle [rad]; position, as a fraction of the extent of all frames
+LIMIT = 0.2  # largest accepted standard deviation: angle [rad]; position, relative to the spread of the frames
 PARTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn x", "rad"), ("turn y", "rad"), ("turn z", "rad"))
 
 

@@ -11,10 +11,9 @@ Five stages, in this order:
 3. Friction structure: for each joint, the type and width of the sign function of friction, the Stribeck speed and the
    friction terms are selected on held-out blocks with the rigid-body parameters fixed (`identify.friction_structure`).
 4. Solution: all linear parameters are fitted by least squares within physical bounds, with joints weighted by the
-inverse of their residual standard deviation. The covariance comes from a block bootstrap, because the formal covariance
-is far too
-   small for coloured residuals. Friction drift and the uncertainty of the friction structure are added
-   (`identify.solve`).
+   inverse of their residual standard deviation. The covariance comes from a block bootstrap, because the formal
+   covariance is far too small for coloured residuals. Friction drift and the uncertainty of the friction structure are
+   added (`identify.solve`).
 5. Validation: models fitted without a fifth of the blocks provide held-out residuals, which pass through the
    estimator's own causal filter. The velocity-dependent torque covariance is fitted to these residuals and scaled to
    95.4 % coverage of 2 sigma (`identify.validation`).

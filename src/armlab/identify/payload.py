@@ -362,8 +362,8 @@ def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, sec
 
 
 def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
-    """Return the largest accepted standard deviations (10,), equal to loads that double the largest torque in the
-    log."""
+    """Return the largest accepted standard deviations (10,): the parameters of loads that double the largest torque in
+    the log."""
     torque, gravity = np.sqrt(np.mean(record.data.tau[:, record.joints] ** 2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])

@@ -94,8 +94,8 @@ class RegressionColumns:
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the columns that depend on neither friction structure nor base parameters, for acceleration (N, n).
 
-        Return the torque (M, J); the columns (M, J, 2 or 4) for viscous friction, offset and observable ripple; and
-        the acceleration, velocity and smooth sign (M, K, 3) of the coupled motors.
+        The result is the torque (M, J); the columns (M, J, 2 or 4) for viscous friction, offset and observable ripple;
+        and the acceleration, velocity and smooth sign (M, K, 3) of the coupled motors.
         """
         data, joints, cycles = self.data, self.joints, self.cycles
         J, K = len(joints), len(self.motors)

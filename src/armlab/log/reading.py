@@ -34,7 +34,7 @@ _READERS: dict[str, Callable[..., Table]] = {
     "LabComm": lambda path, raw, names: renamed(path, read_labcomm(path, raw=raw), names),
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # in order, as `write` is the writer
+    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # written by `write`, so in order
 }
 _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # can read individual columns
 

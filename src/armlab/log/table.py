@@ -432,7 +432,7 @@ class Table:
         return pa.Table.from_arrays([array for *_, array in parts], schema=pa.schema(fields))
 
     def to_xarray(self) -> Any:
-        """Return an xarray Dataset with the coordinate t [s]; columns keep their shape, with attributes unit and frame.
+        """Return an xarray Dataset with coordinate t [s]; columns keep their shape, with attributes units and frame.
 
         The dimensions of a row are named after its column; joint names become coordinates.
 

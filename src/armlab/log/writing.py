@@ -180,7 +180,7 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
     file = RecordingFile(part, robot, layout, {}, "; ".join(table.source), (table.t0_ns, table.clock))
     try:
         for done in range(0, len(block), _TOLD):
-            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # rows are unique, ticks are not
+            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # indices are unique, ticks are not
             tell(done, len(block), "rows")
         file.finish({"rows": len(table), "source": list(table.source)})
     except BaseException:

@@ -362,7 +362,7 @@ def save(
     path = Path(path)
     if path.suffix != ".toml":
         raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the extension.")
-    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a Fit (higher layer)
+    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a Fit (defined in a higher layer)
         return value.save(path, sources)
     content = torque_tables(value) if isinstance(value, TorqueModel) else value_file(value)
     content["meta"]["sources"] = [*content["meta"]["sources"], *sources]

@@ -160,7 +160,7 @@ class Friction(Shown):
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
             raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Pass values >= 0.")
         if np.any(self.load < 0) or np.any(self.load >= 1):
-            raise ShapeError(f"Expected load friction in [0, 1), got {self.load.tolist()}. Pass the share.")
+            raise ShapeError(f"Expected load friction in [0, 1), got {self.load.tolist()}. Pass fractions.")
 
     @classmethod
     def none(cls, n: int) -> Friction:

@@ -312,7 +312,7 @@ class HandEye(Shown):
                 what = "points (K, 3)" if name == "points" else f"a pose {name} (4, 4)"
                 raise ShapeError(
                     f"Expected {what} with finite values for a hand-eye calibration, got NaN, Inf or shape "
-                    f"{values.shape}. Correct it."
+                    f"{values.shape}. Correct the value."
                 )
             if name != "points":
                 values = kernels.poses(values, name)

@@ -219,7 +219,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
         Parameters
         ----------
-        robot : the arm; joint positions are computed by inverse kinematics, starting from the previous solution.
+        robot : the arm; joint positions are computed by inverse kinematics, each starting from the previous solution.
         limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; default: from the
             robot.
         duration, goal : as in `rollout`, with tool poses in base axes.
@@ -268,8 +268,7 @@ class PoseStepper:
         if self._dmp.frame == "goal":
             raise ConfigError(
                 "Expected a forcing term in base axes for a goal change, got a forcing term in goal axes. Start again "
-                "from "
-                "the current pose, or use frame='base'."
+                "from the current pose, or use frame='base'."
             )
         first = self._first
         start = matrix(first.position.y0, first.q0)

@@ -275,7 +275,7 @@ def from_poe(name: str, screws: ArrayLike, T_home: ArrayLike, **details: Unpack[
 
     Raises
     ------
-    RobotError : if a screw is not a zero-pitch unit screw, or the numbers are inconsistent.
+    RobotError : if a screw does not have a unit axis and zero pitch, or the numbers are inconsistent.
     """
     T_home = numbers(T_home, f"T_home of robot {name!r}")
     if T_home.shape != (4, 4) or not se3.is_pose(T_home):
@@ -298,7 +298,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
 
     Raises
     ------
-    RobotError : if a screw is not a unit axis without pitch, or the numbers are inconsistent.
+    RobotError : if a screw does not have a unit axis and zero pitch, or the numbers are inconsistent.
     """
     poses, screws = numbers(poses, f"poses of robot {name!r}"), numbers(screws, f"screws of robot {name!r}")
     if screws.ndim != 2 or screws.shape[1] != 6 or poses.shape != (len(screws) + 1, 4, 4):

@@ -181,7 +181,7 @@ def test_rows_stay_in_the_order_of_arrival(one: Make) -> None:
         if state.seq == 2:
             hands.put()
             hands.put()
-            hands.clock.now -= 10 * MS  # they arrived before the loop looked, so it did not wait for them
+            hands.clock.now -= 10 * MS  # they arrived while the loop was running, so wake_ns is 0
         return drift(state)
 
     hands = one(controller)

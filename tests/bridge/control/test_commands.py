@@ -336,7 +336,7 @@ def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
         pushed.reply(None)
         for k in range(3):
             assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(0.4 * (k + 1))
-        assert pushed.reply(Command(pushed.home)).tau == pytest.approx(0.8), "without a command, it falls at this rate"
+        assert pushed.reply(Command(pushed.home)).tau == pytest.approx(0.8), "without tau, it falls at the same rate"
         assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(1.2)
         refused = pushed.reply(Command(pushed.home + 1.0, tau=np.full(7, 10.0)))
         assert refused.tau == pytest.approx(0.8)

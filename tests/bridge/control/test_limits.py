@@ -212,7 +212,7 @@ class RobotOnNetwork:
         sample = self.session.accept(Arrival(data, ("127.0.0.1", 5000), self.arrival_ns))
         told = len(self.events)
         self.machine.observe(sample)
-        if "The robot is ready and holds its position." in self.events[told:]:  # a reference starts at the arm
+        if "The robot is ready and holds its position." in self.events[told:]:  # start at the arm's position
             self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
         asked = command(self.machine.state(sample, 0, {})) if self.machine.calls else None
         reply = self.machine.answer(asked, self.session.period.seconds)

@@ -38,7 +38,7 @@ def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make)
     assert hands.arms[0].machine.mode is Mode.STOPPING
     with pytest.raises(KeyboardInterrupt):
         hands.loop.interrupt()
-    hands = one(drift)  # an ended run waits for nothing
+    hands = one(drift)  # a run that has ended does not wait
     hands.loop.interrupt()
     hands.loop.cycle()
     assert hands.arms[0].machine.mode is Mode.ENDED

@@ -485,7 +485,7 @@ FIFTY = [(k, 60_000 + 4 * k, 1.0, NEXT) for k in range(50)]
         ),
         # The first packets of eight sessions are remembered.
         ([*((0, 1000 * k, 1, 0) for k in range(1, 11)), (1, 10_004, 1, 0), (0, 2000, 1, OLD), (0, 1000, 1, 0)], 11),
-        # Number 0 and a clock that went back mean that the robot restarted, without waiting for 0.5 s of silence.
+        # Number 0 and a clock that went back identify a restarted robot at once; 0.5 s of silence is not needed.
         *(([*FIFTY, (0, tm, 1, 0), (1, (tm + 4) % 2**32, 1, 0)], 2) for tm in (12, 50_000, 2**32 - 9)),
         # A first packet that is overtaken by up to 0.1 s begins no session.
         (
@@ -547,7 +547,7 @@ def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed:
 
 
 DATAGRAMS = 1_000_000
-BLOCK = 1000  # datagrams; the slowest block is timed
+BLOCK = 1000  # datagrams; the time of the slowest block is checked
 WARM = 300  # blocks until all persistent state has been created
 BAD = [struct.pack("<d", value) for value in (np.nan, np.inf, 1e308)]
 

@@ -188,7 +188,7 @@ SECOND = 10**9
 
 
 def told_of(*said: tuple[str, float], each: bool = False) -> list[tuple[str, int]]:
-    """Return the messages that pass the rate limit, with their stamps, given messages at times [s]."""
+    """Report messages at given times [s]; return those that pass the rate limit, with their stamps [ns]."""
     told: list[tuple[str, int]] = []
     limited = Limited(lambda text, warn, stamp_ns: told.append((text, stamp_ns)))
     for text, seconds in said:

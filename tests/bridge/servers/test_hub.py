@@ -316,7 +316,7 @@ def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:
         assert not end.ask(Report("a", "Expected 7 numbers, got 6."))
         assert end.lost == 2
         assert not end.ask(Stop("a"))
-        assert not end.ask(command)  # queued behind a waiting stop
+        assert not end.ask(command)  # dropped while a stop is waiting
         while _received(loop):
             pass
         assert end.receive() == []

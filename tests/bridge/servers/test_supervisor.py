@@ -173,7 +173,7 @@ with Servers(Hub([robots.load("ur5e")], ["local"]), {{"local": command}}) as ser
     until(lambda: not path.exists())
 
 
-MESSAGES = 2000  # including a row
+MESSAGES = 2000  # maximum number of messages until a row arrives
 
 
 @pytest.mark.slow

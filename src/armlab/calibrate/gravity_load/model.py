@@ -19,7 +19,7 @@ from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
 ROUNDING = 1e-11  # rounding errors relative to the largest reading
-FLOOR = 1e-6  # noise relative to the readings below which it counts as rounding error
+FLOOR = 1e-6  # noise, relative to the readings, below which it counts as rounding error
 ROUNDS = 50  # maximum number of reweighting steps
 SETTLED = 1e-3  # change of the weights at convergence, relative to the largest weight
 SHORT = 1e-3  # smallest residual used in the weights, relative to the median residual

@@ -32,7 +32,7 @@ GAUGE = 1e-6  # component along an unidentifiable direction above which a parame
 ROUNDING = 1e-9  # motion, relative to the largest coordinate, that counts as rounding error
 NOBODY = np.zeros(0, dtype=int)
 FAR = 0.1  # distance [m or rad] from the nominal robot above which the measurement frame is a different frame
-MILLIMETRES = 30.0  # length ratio above which a wrong unit is more likely than a wrong description of the arm
+MILLIMETRES = 30.0  # length ratio above which a wrong unit is more likely than an arm far from nominal
 STILL = 1e-4  # length ratio below which the cause is a stationary tool, not a wrong unit
 
 S = TypeVar("S")

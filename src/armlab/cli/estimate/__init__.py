@@ -75,8 +75,7 @@ def estimate(
         force_rate: With method kf: expected rate of change of the force.
         bias: With method kf: estimate a friction error per joint, reset after each stop.
         tare: Duration of the initial period in which the arm is at rest without contact [s]. The friction identified
-        during this time
-            is valid until the arm moves.
+            during this time is valid until the arm moves.
         output: Also write the estimate of every row, together with q, qd and tau, to this .mcap (for armlab view) or
             .csv file.
         prior: Prior of the contact wrench.

@@ -167,8 +167,7 @@ class ColumnNames:
             currents = ", ".join(f"actual_current_{k}" for k in weak)
             raise LogError(
                 f"Expected currents correlated with target_moment in {path}, got uncorrelated currents in {currents}. "
-                f"Log "
-                "a motion that loads these joints, or pass the torque constants [N m/A]: --columns "
+                "Log a motion that loads these joints, or pass the torque constants [N m/A]: --columns "
                 "'ur,tau=actual_current_{0..5}*{10,10,10,8,8,8}'."
             )
         made["tau"] = (current * constants, "N m")

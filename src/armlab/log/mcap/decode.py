@@ -35,8 +35,8 @@ Piece = tuple[np.ndarray, Values]
 
 @dataclass(slots=True)
 class Variant:
-    """Layout of messages with equal length and equal bytes in the ranges `fixed`: start, stop and type of each run of
-    numbers."""
+    """Layout of messages with equal length and equal bytes in the ranges `fixed`; `runs`: start, stop and type of each
+    run of numbers."""
 
     first: np.ndarray
     fixed: list[tuple[int, int]]

@@ -247,7 +247,7 @@ class Inspection:
 
 
 def inspect(path: str | Path) -> Inspection:
-    """Return the metadata, topics, events, attachments and the summary of an MCAP file, finished or unfinished.
+    """Return the metadata, topics, events, attachments and summary of an MCAP file, finished or unfinished.
 
     Raises
     ------

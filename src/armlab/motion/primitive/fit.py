@@ -51,9 +51,9 @@ def fit_dmp(
 ) -> Fit[Dmp]:
     """Fit a movement primitive to one or several demonstrations.
 
-    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and any free start, start velocity or goal. The "
-    "problem is linear and needs no
-    derivatives of measurements; with schedule "position", it becomes nonlinear and is solved by Gauss-Newton.
+    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and any free start, start velocity or goal. The
+    problem is linear and needs no derivatives of measurements; with schedule "position", it becomes nonlinear and is
+    solved by Gauss-Newton.
     "acceleration" minimises ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)``
     from central differences. "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``.
     For the last two methods, the covariance assumes white residuals of f, which does not hold in practice. Several

@@ -198,8 +198,8 @@ def _covariance(
     """Return the covariance of weights and end values for samples of unit variance, and the residual degrees of
     freedom.
 
-    The unknowns are ``x = G A^T y``, where y contains all samples except the three samples that pin the ends and thus
-    shift every row.
+    The unknowns are ``x = G A^T y``, where y contains all samples except the three samples that pin the end values
+    and thus shift every row.
     """
     size = parts[0].kernels.shape[1] + 3 * len(parts)
     cov, spread, dof = np.zeros((size, size)), np.zeros_like(G), 0.0

@@ -9,7 +9,7 @@ own random stream, so changing one parameter does not affect the errors of the o
     sensors    elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: readings
     recording  jitter, lost: time stamps and samples
 
-The fields are options of ``armlab sim``, whose help loads this file; NumPy is imported only to draw random errors.
+The fields are options of ``armlab sim``, whose help loads this file, so NumPy is imported only to draw random errors.
 """
 
 from __future__ import annotations

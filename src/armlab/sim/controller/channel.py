@@ -203,7 +203,7 @@ class Faults:
         self._random = np.random.default_rng(seed)
         self._under_way: list[tuple[float, int, tuple[int, bytes]]] = []  # (due time, order of arrival, item)
         self._order = self._losing = 0
-        share, length = rates.loss, rates.burst  # probability that a burst begins, for an overall loss of `loss`
+        share, length = rates.loss, rates.burst  # probability that a burst begins, for the overall loss rate `loss`
         self._begins = share / (length - share * (length - 1)) if share else 0.0
 
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:

@@ -352,8 +352,8 @@ class Decoder:
 
         Raises
         ------
-        LabCommError : if the stream is malformed. `offset` is the position of the fault, and `events`
-            contains the events before the fault. Every later call raises the same error.
+        LabCommError : if the stream is malformed. The error's `offset` is the position of the fault, and
+            `events` contains the events before the fault. Every later call raises the same error.
         """
         if self._error is not None:
             raise self._error

@@ -41,7 +41,7 @@ class Encoder:
 
     Raises
     ------
-    UnknownName : the dialect is unknown.
+    UnknownName : if the dialect is unknown.
     LabCommError : if the dialect has no type bindings.
     """
 

@@ -62,7 +62,7 @@ def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
     Raises
     ------
     LabCommError : if the text is invalid; `line` and `column` locate the fault.
-    UnknownName : the dialect is unknown.
+    UnknownName : if the dialect is unknown.
     """
     kind = dialect_named(dialect)
     if len(text) > _LARGEST:

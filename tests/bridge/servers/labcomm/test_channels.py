@@ -157,7 +157,7 @@ def test_a_text_that_clients_cannot_be_told_is_refused(text: str) -> None:
     channel.take(a, sample(text, PRIMS["string"], "task"), [a])
     assert values(a) == [("task", "grind"), ("task", "grind")]
     channel.take(a, sample("polish", PRIMS["string"], "task"), [a])
-    assert values(a)[-1] == ("task", "polish"), "without a decision function, every other value is accepted"
+    assert values(a)[-1] == ("task", "polish"), "without a decision function, all other values are accepted"
     assert channel.counts == {"refused": 1, "set": 1}
 
 

@@ -28,7 +28,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def cell_class(server: str) -> Any:
-    """Return the class with a server and a node over DDS ("ros2") or Zenoh ("rmw_zenoh")."""
+    """Return the class of a cell with a server and a node, over DDS ("ros2") or Zenoh ("rmw_zenoh")."""
     if server == "ros2":
         pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
         from .dds_peers import DdsCell as Cell

@@ -1,4 +1,4 @@
-"""ROS 2 server over DDS in a thread, in its own domain, and participants that act as its nodes."""
+"""ROS 2 server over DDS in a thread, in its own domain, and participants that act as ROS nodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ROS 2 server with rmw_zenoh in a thread, and sessions that act as its nodes."""
+"""ROS 2 server with rmw_zenoh in a thread, and sessions that act as ROS nodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An engine on a loop that only listens, and clients that send and receive JSON."""
+"""An engine with a loop that only records requests, and clients that send and receive JSON."""
 
 from __future__ import annotations
 

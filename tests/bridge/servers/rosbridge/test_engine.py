@@ -63,7 +63,7 @@ def test_names_without_a_leading_slash_are_resolved_and_echoed_as_asked(bench: B
     bench.say(client, op="subscribe", topic="yumi_left/parameters")
     assert [one["topic"] for one in bench.heard(client)] == ["yumi_left/parameters"]
     bench.say(client, op="subscribe", topic=f"/{STATES}")
-    assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no alternative spelling"
+    assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two leading slashes are not accepted"
 
 
 def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:

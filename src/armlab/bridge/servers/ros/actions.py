@@ -343,7 +343,7 @@ def _feedback(arm: ArmRow, t: float) -> dict[str, Any]:
 
 
 def plain(message: Any) -> Any:
-    """Convert a message with a type from `store` to dictionaries, lists and numbers."""
+    """Convert a message of a type in `store` to dictionaries, lists and numbers."""
     if hasattr(message, "__dataclass_fields__"):
         return {name: plain(getattr(message, name)) for name in message.__dataclass_fields__ if name != "__msgtype__"}
     if isinstance(message, np.ndarray):
@@ -512,8 +512,7 @@ _EMPTY: dict[str, Any] = {"string": "", "bool": False, "float64": 0.0}
 
 
 def message(type_: str, values: Mapping[str, Any]) -> Any:
-    """Build a message with a type from `store` from dictionaries, lists and numbers; missing fields are zero or
-    empty."""
+    """Build a message of a type in `store` from dictionaries, lists and numbers; missing fields are zero or empty."""
     found = {}
     for name, (kind, about) in store().fielddefs[type_][1]:
         if kind == Nodetype.NAME:

@@ -340,7 +340,7 @@ class Readers:
         """Run a callback and log its errors, which would otherwise surface in C code."""
         try:
             with self._lock:
-                if reader in self._readers:  # earlier callbacks are ignored; `_begin` catches up
+                if reader in self._readers:  # callbacks before registration are ignored; `_begin` catches up
                     call(reader, *arguments)
         except Exception:
             _logger.exception("ros2")

@@ -127,7 +127,7 @@ class _Writer:
     last: int = 0
     owners: dict[int, bytes] = field(default_factory=dict)  # requesting participants, whose readers may appear later
     acknowledged: dict[bytes, int] = field(default_factory=dict)  # last number acknowledged by each reader
-    heard: set[bytes] = field(default_factory=set)  # readers that answered; others get empty heartbeats
+    heard: set[bytes] = field(default_factory=set)  # readers that answered a heartbeat; others get empty heartbeats
 
     def forget(self, reader: bytes) -> None:
         self.acknowledged.pop(reader, None)
@@ -233,7 +233,7 @@ class ServiceServers:
             ):
                 self._topics[topic] = number + kind
                 writer.add(self._endpoint(number + kind, topic, type_name(type_)))
-        self._counts = itertools.count(1)  # receivers ignore messages whose count does not increase
+        self._counts = itertools.count(1)  # receivers ignore heartbeats and ACKNACKs whose count does not increase
         self._announced, self._ticked, self._vendor = 0.0, 0.0, _NO_VENDOR
         self._over = False
         self._thread = threading.Thread(target=self._run, name="services over DDS")

@@ -108,7 +108,7 @@ class _Node:
         try:
             number = array.array("i", [one.socket.fileno()])
             self._pipe.sendmsg([json.dumps(message).encode()], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
-        except (AttributeError, OSError):  # closed or refused; without an end, the node would wait forever
+        except (AttributeError, OSError):  # closed, or refused by the system; end it, or the node would wait forever
             _end(one)
             return False
         return True
