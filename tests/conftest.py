@@ -29,31 +29,31 @@ from armlab.robots import Robot
 
 from .processes import processes  # noqa: F401  a fixture
 
-# The same examples each time, so that a change fails only for what it did; `--hypothesis-profile=default` looks for
-# new ones, and twice as many. No deadline: the machines are shared.
+# The same examples in every run, so that only a code change can cause a failure; `--hypothesis-profile=default` tries
+# new ones, twice as many. No deadline: the machines are shared.
 settings.register_profile("armlab", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("armlab")
 
 PERIOD = 0.004
-SUBSTEPS = 4  # friction runs finer than the log, as in nature
+SUBSTEPS = 4  # friction is simulated in finer steps than the log
 
 HERE = Path(__file__).parent
 SLOW_FILES = pytest.StashKey[set[Path]]()
-LOOPS = {"bridge", "cli", "examples", "faults", "sim"}  # loops collect garbage before they begin
+LOOPS = {"bridge", "cli", "examples", "faults", "sim"}  # their loops collect garbage before they start
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Iterator[object]:
-    """Collect without searching for garbage, of which there is none, and keep what is collected out of later searches.
+    """Collect tests with the garbage collector off, and exempt the collected objects from later collections.
 
-    In a new clone, where tests are compiled as they are imported, each of several processes begins with its share.
+    In a new clone, where tests are compiled on import, each of several processes starts with its own share.
     """
     gc.disable()
     if worker := os.environ.get("PYTEST_XDIST_WORKER"):
         given = [Path(one.partition("::")[0]).resolve() for one in session.config.args]
         files = sorted({path for one in given for path in (one.rglob("test_*.py") if one.is_dir() else [one])})
         for path in files[int(worker[2:]) :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]:
-            with suppress(Exception, pytest.skip.Exception):  # what is wrong with it is told when it is collected
+            with suppress(Exception, pytest.skip.Exception):  # errors are reported when it is collected
                 import_path(path, mode="importlib", root=session.config.rootpath, consider_namespace_packages=False)
     try:
         return (yield)
@@ -64,19 +64,19 @@ def pytest_collection(session: pytest.Session) -> Iterator[object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Note which files have slow tests, before those are left out."""
+    """Record which files have slow tests, before those tests are deselected."""
     config.stash[SLOW_FILES] = {item.path for item in items if item.get_closest_marker("slow")}
 
 
 @pytest.fixture(scope="session")
 def slow_files(pytestconfig: pytest.Config) -> set[Path]:
-    """The files with slow tests, of those that pytest collected."""
+    """The collected files that contain slow tests."""
     return pytestconfig.stash[SLOW_FILES]
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Let a loop search what its test made, and not the half million objects that pytest holds for all other tests."""
+    """Limit garbage collection by loops to the test's own objects, without the half million that pytest holds."""
     loops = item.path.relative_to(HERE).parts[0] in LOOPS
     if loops:
         gc.freeze()
@@ -89,7 +89,7 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Truth:
-    """A made-up arm with known parameters: what identification must find."""
+    """A synthetic arm with known parameters, which identification must find."""
 
     robot: Robot
     links: np.ndarray
@@ -153,9 +153,9 @@ class ShortArm:
         stretch: int = 1,
         still: dict[int, float] | None = None,
     ) -> Table:
-        """A log of n samples with AR(1) noise of the torque; a share of stretches is ten deviations off.
+        """A log of n samples with AR(1) torque noise; a share of the segments is off by ten standard deviations.
 
-        A joint that is `still` rests at a position.
+        Joints in `still` rest at the given position.
         """
         t, draw = np.arange(n) / RATE, np.random.default_rng(99)
         f = np.array([0.11, 0.23, 0.37, 0.61, 0.83]) * (0.3 if slow else 1.0)
@@ -178,7 +178,7 @@ class ShortArm:
     def experiment(
         self, rho: float = 0.0, slow: bool = False, gain_sd: float = 0.0
     ) -> Callable[[int, int], Experiment]:
-        """Return what `check_estimator` draws from: logs, with gains of the torque, and the true base parameters."""
+        """Return a generator for `check_estimator`: logs with torque gains, and the true base parameters."""
         truth = base_parameters(self.robot, quasi_static=slow).B @ np.concatenate([LINKS.ravel(), ROTOR])
 
         def draw(seed: int, n: int) -> Experiment:
@@ -190,7 +190,7 @@ class ShortArm:
         return draw
 
     def of_base(self, fit: Fit) -> Fit:
-        """Return the fit of the base parameters alone: terms of friction may come and go from log to log."""
+        """Return the fit of the base parameters alone: friction terms may differ between logs."""
         p = len(fit.value.base_names)
         cov = fit.cov[:p, :p]
         return replace(fit, names=fit.names[:p], units=fit.units[:p], parameters=fit.parameters[:p], cov=cov)
@@ -210,7 +210,7 @@ def short_arm() -> ShortArm:
 
 @pytest.fixture(scope="session", autouse=True)
 def signals() -> Iterator[None]:
-    """Heed what the shell had us ignore, SIGHUP after nohup, SIGINT after &: programs that tests start inherit it."""
+    """Handle SIGHUP (ignored under nohup) and SIGINT (ignored after &), as child programs inherit the setting."""
     handlers = {signal.SIGHUP: lambda *_: None, signal.SIGINT: signal.default_int_handler}
     before = {number: signal.getsignal(number) for number in handlers}
     for number, handler in handlers.items():
@@ -223,7 +223,7 @@ def signals() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def truth() -> Truth:
-    """The left arm of a YuMi with random, physically possible links."""
+    """The left arm of a YuMi with random, physically consistent links."""
     robot = robots.load("yumi_left")
     rng = np.random.default_rng(7)
     links = np.zeros((robot.n, 10))
@@ -249,12 +249,12 @@ def truth() -> Truth:
 
 @pytest.fixture(scope="session")
 def excited(truth: Truth) -> Table:
-    """A noisy 30 s excitation log of the made-up arm."""
+    """A noisy 30 s excitation log of the synthetic arm."""
     return truth.log(identify.design_excitation(truth.robot, seconds=30, seed=1), seed=1)
 
 
 def _once(run: Path, name: str, fit: Callable[[], Fit[TorqueModel]]) -> Fit[TorqueModel]:
-    """Return what the first process of a run of tests has fitted; the others wait for it and read it."""
+    """Return the fit made by the first process of a test run; the others wait for it and read it."""
     with (run / f"{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         kept = run / f"{name}.pickle"
@@ -265,26 +265,26 @@ def _once(run: Path, name: str, fit: Callable[[], Fit[TorqueModel]]) -> Fit[Torq
 
 @pytest.fixture(scope="session")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of this run of tests, the same in each of its processes."""
+    """The folder of this test run, shared by all its processes."""
     own = tmp_path_factory.getbasetemp()
     return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
 @pytest.fixture(scope="session")
 def fitted(truth: Truth, excited: Table, run_folder: Path) -> Fit[TorqueModel]:
-    """The torque model identified from that log, with its covariance."""
+    """The torque model identified from the excitation log, with its covariance."""
     return _once(run_folder, "fitted", lambda: identify.fit_dynamics(excited, truth.robot))
 
 
 @pytest.fixture(scope="session")
 def model(fitted: Fit[TorqueModel]) -> TorqueModel:
-    """The value of that fit."""
+    """The torque model of `fitted`."""
     return fitted.value
 
 
 @pytest.fixture(scope="session")
 def slow(truth: Truth) -> Table:
-    """A minute at a tenth of the speed limits."""
+    """A one-minute log at a tenth of the speed limits."""
     return truth.log(
         identify.design_excitation(truth.robot, seconds=60, f0=1 / 60, harmonics=3, speed=0.1, seed=3), seed=3
     )
@@ -292,13 +292,13 @@ def slow(truth: Truth) -> Table:
 
 @pytest.fixture(scope="session")
 def gravity(truth: Truth, slow: Table, run_folder: Path) -> Fit[TorqueModel]:
-    """The model of slow motion identified from it: gravity, friction and offsets."""
+    """The slow-motion model identified from `slow`: gravity, friction and offsets."""
     return _once(run_folder, "gravity", lambda: identify.fit_gravity(slow, truth.robot))
 
 
 @contextmanager
 def _full_disk() -> Iterator[None]:
-    """Let no file grow beyond 100 bytes; also not the one that pytest may write to, so only around what is tried."""
+    """Limit files to 100 bytes. This includes the file pytest may write to, so use it only around the tested call."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
@@ -317,7 +317,7 @@ def full_disk() -> Callable[[], AbstractContextManager[None]]:
 
 @pytest.fixture
 def ur5e_bag(tmp_path: Path) -> Path:
-    """A bag of another program: a UR5e with joint i at i + k rad in row k, told in reverse order, and numbers."""
+    """A bag from another program: a UR5e with joint i at i + k rad in row k, in reverse order, and numbers."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

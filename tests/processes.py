@@ -1,4 +1,4 @@
-"""Processes that tests start: routers, and bridges whose rows are made up; and how tests wait for what others do."""
+"""Processes started by tests: routers, and bridges with synthetic rows; and helpers that wait for other processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROGRAM = Path(__file__).with_name("publisher.py")
 
 
 def until(condition: Callable[[], Any], patience: float = PATIENCE, what: str = "it") -> Any:
-    """Wait for what another thread or process does, and return it."""
+    """Wait until a condition set by another thread or process holds, and return its value."""
     end = time.monotonic() + patience
     while not (found := condition()):
         assert time.monotonic() < end, f"{what} did not happen"
@@ -28,14 +28,14 @@ def until(condition: Callable[[], Any], patience: float = PATIENCE, what: str = 
 
 
 def free_port() -> int:
-    """Return a port on which nobody listens."""
+    """Return an unused port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
 
 def bound(process: int, but: int = -1) -> set[str]:
-    """Addresses on which a process and those it started wait for others, as /proc tells; without one of them."""
+    """Addresses on which a process and its children listen, from /proc, optionally without one of them."""
     parents = {}
     for folder in Path("/proc").iterdir():
         with contextlib.suppress(OSError, ValueError, IndexError):
@@ -57,7 +57,7 @@ def bound(process: int, but: int = -1) -> set[str]:
 
 
 class Started:
-    """A process of the test, which says a line when it is ready."""
+    """A process started by a test, which prints a line when it is ready."""
 
     def __init__(self, *words: str) -> None:
         self.process = subprocess.Popen(
@@ -79,7 +79,7 @@ class Started:
 
 @pytest.fixture
 def processes() -> Iterator[Callable[..., Started]]:
-    """Return what starts processes: `start("publisher", port, robots)`, `start("router", port)`."""
+    """Return a function that starts processes: `start("publisher", port, robots)`, `start("router", port)`."""
     made: list[Started] = []
 
     def begin(kind: str, port: int, *words: str) -> Started:

@@ -1,6 +1,6 @@
 """Started by tests: `publisher.py router PORT`, or `publisher.py publisher PORT ROBOT [NAME [PERIOD [TICK]]]`: a Zenoh
-server at the other end of an exchange, as in a bridge, with a row of that robot every 4 ms, or so many seconds, until
-standard input is closed; the first has that tick."""
+server at the other end of an exchange, as in a bridge, with a row of that robot every 4 ms, or every PERIOD seconds,
+until standard input is closed; the first row has tick TICK."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TOML of users: one error for all that can be wrong."""
+"""User TOML files: one error type for every fault."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_what_is_no_toml(text: str, told: str) -> None:
 
 
 def test_dots_that_name_nothing() -> None:
-    """Only keys count: not texts, comments and numbers."""
+    """Only keys count, not strings, comments or numbers."""
     dots = "a." * 40
     text = f'x = \'{dots}\' # {dots}\ny = """\n{dots}"""\nz = [{"1.5, " * 40}]\n' + ".".join("a" * 16) + " = 1"
     assert parsed(text)["x"] == dots

@@ -43,7 +43,7 @@ def test_it_prints_a_verdict_and_leaves_model_page_and_figure(reading, fitted, m
         return fitted
 
     monkeypatch.setattr("armlab.identify.fit_dynamics", told)
-    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")  # test_excite: real ones
+    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")  # real PNGs: test_excite
     words = ["identify", "yumi_left", "run.mcap", "--test", "free.mcap", "-o", tmp_path / "model.toml"]
     out, err = command([*words, "--report", tmp_path / "id.html", "--figure", tmp_path / "fit.png"])
     for words in ("held-out", "excitation good", "good: The motion identifies all parameters", "next: "):
@@ -132,7 +132,7 @@ def test_gravity_only_is_fitted_and_said(reading, fitted, logs, monkeypatch, tmp
         (["yumi_left"], 2, "at least one log"),
         (["irb2400", "run.mcap"], 2, "the robot that was logged"),
         (["yumi_left", "run.mcap", "run.mcap"], 1, "Expected distinct logs"),
-        (["yumi_left", "run.mcap", "--test", "run.mcap"], 1, "Expected distinct logs"),  # nor is it unseen
+        (["yumi_left", "run.mcap", "--test", "run.mcap"], 1, "Expected distinct logs"),  # not held-out data
     ],
 )
 def test_refusals_are_one_sentence_and_leave_no_file(

@@ -236,7 +236,7 @@ def test_a_bag_has_the_joint_names_of_the_robot(path: Path, tmp_path: Path, comm
         assert read(bag).columns["q"].labels == read(path).columns["q"].labels, "our own reader gives the same table"
     said = command(["log", "export", csv, bag, "--robot", "irb120", "--force"], 1).err
     assert "(300, 6) for robot 'irb120' with 6 joints, got (300, 7). Pass the robot" in said
-    assert names_in(bag) == of_urdf, "the bag from before stays"
+    assert names_in(bag) == of_urdf, "the earlier bag is kept"
 
 
 def test_both_arms_in_one_file(path: Path, tmp_path: Path, command) -> None:

@@ -1,4 +1,4 @@
-"""The frame of the command line: exit codes, one-line errors, `--debug`."""
+"""Basics of the command line: exit codes, one-line errors, `--debug`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""armlab model show: the same pose in the words of ROS, URDF, easy_handeye and MoveIt."""
+"""armlab model show: the same pose in the formats of ROS, URDF, easy_handeye and MoveIt."""
 
 from __future__ import annotations
 

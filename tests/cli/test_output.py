@@ -1,4 +1,4 @@
-"""What commands print and write, and the logs that they read."""
+"""Output of commands, the files they write, and the logs they read."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
 
 
 def test_a_warning_is_written_once() -> None:
-    """Python's handler of last resort would write it again: seen in a process of its own, without pytest's handlers."""
+    """Python's last-resort handler would repeat it; seen only in a separate process, without pytest's handlers."""
     program = (
         "import logging; from armlab.cli.support.output import Narrator; narrator = Narrator()\n"
         "logging.getLogger('armlab.bridge').warning('Twice.'); narrator.event('Twice.', warn=True)"

@@ -16,7 +16,7 @@ LINK = ["--link", "sim://yumi_left?lockstep=true"]
 
 
 def message(path: Path, seconds: float = 1.0, **more: Any) -> Path:
-    """Write a motion of 0.1 rad of every joint, with the joints in another order, as ROS prints messages."""
+    """Write a 0.1 rad motion of every joint as a ROS message, with the joints in a different order."""
     names, q = ROBOT.ros_joint_names[::-1], ROBOT.q_home[::-1]
     points = [
         {"positions": (q + d).tolist(), "velocities": [0.0] * 7, "time_from_start": {"sec": int(t), "nanosec": 0}}

@@ -1,4 +1,4 @@
-"""armlab plot: a command for every figure that files can give."""
+"""armlab plot: a command for every figure that can be drawn from files."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def test_a_model_and_a_log(files: tuple[str, str], drawn: dict[str, Any], fitted
 def test_a_log_is_read_as_that_of_the_robot_of_the_model(
     name: str, files: tuple[str, str], fitted: Fit[TorqueModel], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A bag has its joints in the order of their driver; see `LogPart.read`."""
+    """A bag lists its joints in driver order; see `LogPart.read`."""
     asked = []
 
     def told(part: LogPart, path: Path, robot: str | None = None, model: object = None) -> Table:
@@ -205,7 +205,7 @@ def test_a_log_is_read_as_that_of_the_robot_of_the_model(
 
     monkeypatch.setattr(LogPart, "read", told)
     model, run = files
-    arm = str(tmp_path / "arm.toml")  # as of a robot that is not in the library
+    arm = str(tmp_path / "arm.toml")  # like a robot that is not in the library
     robots.save(robots.load(fitted.value.robot_name), arm)
     words = [run, "--model", model] if name == "coverage" else [model, run]
     words += ["--joint", "2"] if name == "friction_map" else []
@@ -302,7 +302,7 @@ def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     arm = robots.load("irb2400")
     q = np.linspace(np.zeros(6), np.ones(6), 20)
-    q[-1, 2] = np.nan  # the last one that is whole counts
+    q[-1, 2] = np.nan  # the last complete row counts
     run = log.write(Table(np.arange(20.0), {"q": q}), tmp_path / "run.csv")
     assert main(["plot", "robot", "irb2400"]) == 0
     assert main(["plot", "robot", "irb2400", str(run), "--tool-path"]) == 0

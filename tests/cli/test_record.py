@@ -27,7 +27,7 @@ from ..processes import free_port
 
 @pytest.fixture
 def streaming() -> Iterator[Callable[..., None]]:
-    """Stream packets of peers, 250 Hz as robots do, until the test ends: the kernel holds what comes meanwhile."""
+    """Stream packets from peers at 250 Hz, as robots do, until the test ends; the kernel queues them meanwhile."""
     over, threads, streamed = threading.Event(), [], []
 
     def begin(*peers: Peer, mci: int = 2) -> None:
@@ -80,7 +80,7 @@ def test_an_arm_that_waits_for_references_gets_none_but_is_told_of(tmp_path: Pat
 
 def written(path: Path) -> int:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it is not finished
+        warnings.simplefilter("ignore")  # the log is not finished
         try:
             return len(log.read(path))
         except LogError:  # not begun
@@ -89,7 +89,7 @@ def written(path: Path) -> int:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
 def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.Signals) -> None:
-    """Only a process that is killed outright may lose packets, those that it had not taken up."""
+    """Only a process that is killed outright may lose packets: those it had not yet read."""
     port, path = free_port(), tmp_path / "run.mcap"
     command = [sys.executable, "-m", "armlab", "record", "yumi_left", "--port", str(port), "-o", str(path)]
     peer = Peer(robots.load("yumi_left"), port)
@@ -104,9 +104,9 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
             time.sleep(0.002)
         if number == signal.SIGKILL:
             while written(path) < peer.packets.seq - 1 and time.monotonic() - begun < 60.0:
-                time.sleep(0.05)  # nothing more comes, and it writes down what it has taken up without being asked
+                time.sleep(0.05)  # no more packets arrive; the recorder writes what it has read on its own
         else:
-            time.sleep(0.2)  # the last packet is on its way through the kernel no longer
+            time.sleep(0.2)  # by now the last packet has passed through the kernel
         os.kill(process.pid, number)
         try:
             process.communicate(timeout=30)
@@ -119,7 +119,7 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
             log.read(path)
         table = log.recover(path).path
         assert log.read(table)["seq"][0] == 0
-        assert len(log.read(table)) >= peer.packets.seq - 1  # the others had been written down
+        assert len(log.read(table)) >= peer.packets.seq - 1  # all others had been written
     else:
         seq = log.read(path)["seq"]
         assert (seq[0], seq[-1], len(seq)) == (0, peer.packets.seq - 1, peer.packets.seq)

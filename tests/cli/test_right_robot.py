@@ -1,4 +1,4 @@
-"""The right robot: a recording, motion or model of another description is refused by each verb, in words."""
+"""The right robot: each verb refuses a recording, motion or model of another robot description, and says why."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_by_force_it_goes_on_with_the_named_robot(files, tmp_path, command) -> N
     robots.save(OTHERS["tool"][0], tmp_path / "arm.toml")
     words = ["--model", files["other"], "--force", "-o"]
     said = command(["estimate", tmp_path / "arm.toml", files["log"], *words, tmp_path / "a.csv"]).err
-    assert said.count("which differs: tool moved by 0.12 m") == 2  # of the recording, of the model
+    assert said.count("which differs: tool moved by 0.12 m") == 2  # for the recording and for the model
     command(["estimate", "yumi_left", files["log"], *words, tmp_path / "b.csv"])
     with pytest.raises(ModelMismatchError, match="tool moved"):
         model_for(files["other"], OTHERS["tool"][0])

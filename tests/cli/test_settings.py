@@ -1,4 +1,4 @@
-"""Settings and values of options: which source counts, and what is said of wrong ones."""
+"""Settings and option values: which source takes precedence, and the errors for invalid ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`armlab sim`: options, files, bad input, and that no simulator outlives what started it."""
+"""`armlab sim`: options, files, bad input; no simulator outlives the process that started it."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_each_robot_may_have_a_seed_of_its_own() -> None:
 
 
 def test_abb_defaults_do_not_replace_what_was_given(answering: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With options as the bridge gives them: it turns ``sim://yumi_right?key=value`` into ``--key value``."""
+    """With options as the bridge passes them: it turns ``sim://yumi_right?key=value`` into ``--key value``."""
     seen: list[ControllerSettings] = []
     original = ControllerSettings.__post_init__
     monkeypatch.setattr(ControllerSettings, "__post_init__", lambda self: (original(self), seen.append(self))[0])
@@ -124,7 +124,7 @@ def test_events_as_json(capsys: pytest.CaptureFixture[str], silent: socket.socke
 
 
 def test_a_simulator_ends_with_the_process_that_started_it(silent: socket.socket) -> None:
-    """The child keeps the pipe open as long as it lives: reading to its end returns only because it ended."""
+    """The child keeps the pipe open while it runs, so reading to the end returns only because it has exited."""
     words = [sys.executable, "-m", "armlab", *arguments(silent.getsockname()[1])]
     code = f"import subprocess, sys; subprocess.Popen({words!r}); sys.stdin.readline()"
     with subprocess.Popen(
@@ -136,7 +136,7 @@ def test_a_simulator_ends_with_the_process_that_started_it(silent: socket.socket
 
 
 def test_a_simulator_whose_parent_is_gone_before_it_looks_ends(silent: socket.socket) -> None:
-    """The bridge tells its number: whoever adopted the simulator meanwhile is not taken for it."""
+    """The bridge passes its process ID, so that a process that adopts the simulator is not mistaken for it."""
     with subprocess.Popen([sys.executable, "-c", ""]) as gone:
         gone.wait()
     words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
@@ -146,7 +146,7 @@ def test_a_simulator_whose_parent_is_gone_before_it_looks_ends(silent: socket.so
         silent.recvfrom(65535)
 
 
-@pytest.mark.slow  # as Ctrl-C, of which test_main tells
+@pytest.mark.slow  # like Ctrl-C, which test_main covers
 def test_sim_ends_cleanly_when_terminated(tmp_path: Path, silent: socket.socket) -> None:
     stats = tmp_path / "stats.json"
     words = arguments(silent.getsockname()[1], "--stats", str(stats))
@@ -195,7 +195,7 @@ def test_invalid_files_of_an_operator_and_a_hand_are_named_with_the_line(tmp_pat
     np.testing.assert_allclose([q, qd], [[2.0, 1.0], [2.0, 0.0]])
 
 
-USELESS = {  # what cannot act on an arm without masses, by verb
+USELESS = {  # options that require masses, by verb
     "sim": ["--operator", "operator.csv"],
     "sim ": ["--grip", "1,2"],
     "sim  ": ["--mismatch.payload", "0.5"],

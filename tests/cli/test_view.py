@@ -1,4 +1,4 @@
-"""``armlab view``: wrong use gets a sentence, Ctrl-C is an end, and a view beside a run is a process of its own."""
+"""``armlab view``: usage errors, Ctrl-C as a normal end, and a separate process for a view beside a run."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_view_that_cannot_begin_says_why(alone: None, tmp_path: Path, monkeypa
 
 
 def test_meshes_of_a_robot_file_are_looked_for_around_it(tmp_path: Path) -> None:
-    """As packages of ROS have them: maker/urdf/arm.urdf names package://maker/meshes/link.stl."""
+    """As laid out in ROS packages: maker/urdf/arm.urdf names package://maker/meshes/link.stl."""
     file = tmp_path / "maker" / "urdf" / "arm.urdf"
     file.parent.mkdir(parents=True)
     file.write_text("")

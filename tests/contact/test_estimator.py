@@ -1,4 +1,4 @@
-"""The wrench estimator: static and momentum methods, points of contact, units, the estimate itself."""
+"""The wrench estimator: static and momentum methods, contact points, units, and the estimate itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from armlab.models.uncertainty import FORCE_RATES, PRIOR
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
-ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # frames of seven axes that see one direction
+ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # seven collinear axes: one direction is seen
 WAYS: dict[str, dict[str, Any]] = {
     **{
         name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "ols", "observer", "kf")
@@ -68,12 +68,12 @@ def moving(truth) -> Table:
 
 @pytest.mark.parametrize("method", ["map", "bounded", "interval"])
 def test_over_a_gap_nothing_is_made_up(truth, model, moving, method: str) -> None:
-    """What friction did in it is not known; what the filter held before says nothing of the time after."""
+    """Friction during the gap is unknown, and the filter state from before it is not valid afterwards."""
     log, held = moving, []
     for start in np.arange(2.0, 9.0, 1.0):
         torn = log.rows(((log.t > start - 1.0) & (log.t <= start)) | ((log.t >= start + 0.6) & (log.t < start + 1.0)))
         table = Estimator(model, truth.robot, method).run(torn)
-        after = np.flatnonzero(table.t >= start + 0.6)[method == "map" :]  # the first has no acceleration
+        after = np.flatnonzero(table.t >= start + 0.6)[method == "map" :]  # the first row has no acceleration
         F, cov = table["wrench_hat"][after], table["wrench_hat_cov"][after]
         held.append(np.abs(F) <= 3 * np.sqrt(np.einsum("kii->ki", cov)))
         assert np.max(np.abs(F[:, :3])) < 12.0
@@ -82,7 +82,7 @@ def test_over_a_gap_nothing_is_made_up(truth, model, moving, method: str) -> Non
 
 @pytest.mark.parametrize("method", ["bounded", "clip", "interval"])
 def test_a_row_without_an_acceleration_proves_no_contact(truth, model, excited, method: str) -> None:
-    """The torque of the inertia is not known at the first row of a log in motion: it would count as contact."""
+    """The inertial torque is unknown at the first row of a log in motion and would count as contact."""
     for start in (5.0, 8.3, 12.1):
         table = Estimator(model, truth.robot, method).run(excited.between(start, start + 0.01))
         assert np.all(table["wrench_hat"][0] == 0.0)
@@ -111,7 +111,7 @@ def test_progress_is_told_and_changes_nothing(truth, model, excited, method: str
 
 @pytest.mark.parametrize("way", ["map", "observer", "kf", "kf with bias"])
 def test_a_press_appears_along_its_axes_with_its_signs(truth, model, perfect, way: str) -> None:
-    """Plus 5 N by the environment along base x gives plus 5 N."""
+    """A force of +5 N from the environment along base x gives +5 N."""
     force = np.array([5.0, -4.0, 3.0, 0, 0, 0])
     motion, exact = identify.dither(truth.robot.q_home, seconds=4.0), way == "map"
     log = truth.log(motion, noise=0.0 if exact else 0.1, wrench=press(force))
@@ -124,7 +124,7 @@ def test_a_press_appears_along_its_axes_with_its_signs(truth, model, perfect, wa
 
 
 def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, perfect) -> None:
-    """Seven axes on one line: five directions of the wrench stay as the prior has them."""
+    """Seven collinear axes: five directions of the wrench keep their prior."""
     q, zero = np.zeros(7), np.zeros(7)
     planar = replace(perfect, frames=ON_ONE_LINE)
     wrench = Estimator(planar, truth.robot).step(State(t=0.0, dt=0.004, q=q, qd=zero, tau=np.ones(7)))
@@ -140,7 +140,7 @@ def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, p
 
 
 def test_coverage_and_force_error_on_another_motion(truth, model) -> None:
-    """Free motion of another seed: false force at most 1 N RMS where it can be seen, 2 sigma holds 85 to 99 %."""
+    """Free motion with another seed: false force at most 1 N RMS where observable; 2 sigma covers 85 to 99 %."""
     motion = identify.design_excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=77)
     table = Estimator(model, truth.robot).run(truth.log(motion, seed=8)).between(2.0, 18.0)
     F, sigma = table["wrench_hat"], np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
@@ -151,7 +151,7 @@ def test_coverage_and_force_error_on_another_motion(truth, model) -> None:
 
 
 def elsewhere(call: Callable[..., Any], *args: Any) -> Any:
-    """Call in a thread of its own."""
+    """Call in a separate thread."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(call, *args).result()
 
@@ -165,7 +165,7 @@ def test_two_threads_by_turns_are_refused_until_a_reset(truth, model, excited) -
         for _ in range(2):
             with pytest.raises(ConcurrentUse, match="got samples from two alternating threads"):
                 estimator.step(states[2])
-        with pytest.raises(ConcurrentUse, match="alternating"):  # of the other as well: its state is mixed
+        with pytest.raises(ConcurrentUse, match="alternating"):  # also from the other: the state is mixed
             other.submit(estimator.step, states[2]).result()
         estimator.reset()
         estimator.step(states[0])
@@ -193,7 +193,7 @@ def test_a_run_is_the_only_user(truth, model, excited) -> None:
 
 
 def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_one(truth, model, resting) -> None:
-    """500 g along -z and x: inside the interval in 100 %, half width 2 to 60 N; without a force STUCK and exactly 0."""
+    """500 g along -z and x: always inside the interval, half width 2 to 60 N; without a force, STUCK and exactly 0."""
     for axis, size in ((2, -4.905), (0, 4.905)):
         force = np.zeros(6)
         force[axis] = size
@@ -211,7 +211,7 @@ def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_
 
 
 def test_in_motion_the_bounded_estimate_is_as_good_as_the_random_one(truth, model) -> None:
-    """A push of 8 N in motion: force RMS within 1 N of the truth by both methods."""
+    """An 8 N push in motion: both methods estimate the force within 1 N RMS of the truth."""
     motion = identify.design_excitation(truth.robot, seconds=12, f0=0.1, harmonics=4, speed=0.4, seed=31)
     force = np.array([4.0, -4.0, 5.6, 0, 0, 0])
     log = truth.log(motion, seed=9, wrench=lambda t: np.outer(((t > 3) & (t < 9)).astype(float), force))
@@ -292,14 +292,14 @@ CHECKED = [name for name in WAYS if name != "lund"]
 
 @pytest.fixture(scope="module")
 def log(truth) -> Table:
-    """A hard push in motion: the bound of no joint hides it."""
+    """A hard push in motion that no joint's friction bound hides."""
     wrench = np.array([12.0, -9.0, 10.0, 0.4, 0.5, -0.3])
     motion = identify.dither(truth.robot.q_home + np.array([0.2, 0.1, -0.3, 0.2, 0.1, 0.3, 0.0]), seconds=1.0)
     return truth.log(motion, seed=3, wrench=lambda t: np.tile(wrench, (len(t), 1))).between(0.3, 0.6)
 
 
 def in_units(model: TorqueModel, force: float, length: float) -> TorqueModel:
-    """The model where one newton is `force` units of force and one metre `length` units of length."""
+    """The model in units where one newton is `force` force units and one metre is `length` length units."""
     torque, f, r, c, b = force * length, model.friction, model.ripple, model.covariance, model.bound
     frames = np.array(model.frames)
     frames[:, :3, 3] *= length
@@ -355,7 +355,7 @@ def way(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def pushed(truth) -> tuple[Table, np.ndarray]:
-    """Motion with a push of 5 N for 1 s every 3 s, ramps of 0.1 s; the log and the force (N, 3)."""
+    """Log and force (N, 3) of a motion with a 5 N push for 1 s every 3 s, with ramps of 0.1 s."""
     seconds, seed = 30.0, 8
     motion = identify.design_excitation(truth.robot, seconds=seconds, f0=0.07, harmonics=6, speed=0.4, seed=77)
     rng = np.random.default_rng(seed)
@@ -373,7 +373,7 @@ def pushed(truth) -> tuple[Table, np.ndarray]:
 
 
 def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, pushed, way) -> None:
-    """The bars of the simulated arm: 1 N RMS, in pushes and without; 90 to 97 % away from edges, 88 % with them."""
+    """Targets: 1 N RMS during and between pushes; coverage 90 to 97 % away from edges, 88 % with them."""
     log, force = pushed
     table = Estimator(model, truth.robot, **way).run(log)
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))[:, :3]
@@ -390,7 +390,7 @@ def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, pushed, wa
 
 
 def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, way) -> None:
-    """Five rows without torque, and the log without these rows, give one estimate; so do `step` and `run`."""
+    """Five rows without torque, and the log without these rows, give the same estimate; so do `step` and `run`."""
     log = excited.between(0.0, 2.0)
     missing = (np.arange(len(log)) % 100 >= 60) & (np.arange(len(log)) % 100 < 64)
     holed = log.with_column("tau", np.where(missing[:, None], np.nan, log["tau"]))
@@ -404,7 +404,7 @@ def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, 
 
 
 def test_over_a_gap_nothing_is_made_up_by_momentum_methods(truth, model, moving, way) -> None:
-    """Half a second is missing in fast motion: the error after it is that of everywhere else."""
+    """Half a second is missing in fast motion: the error after the gap is as small as elsewhere."""
     log = moving
     kept = np.ones(len(log), dtype=bool)
     for start in range(500, 2600, 300):
@@ -417,7 +417,7 @@ def test_over_a_gap_nothing_is_made_up_by_momentum_methods(truth, model, moving,
 
 
 def test_a_tare_at_rest_tells_friction_from_contact(truth, model, resting) -> None:
-    """Before it a press is lost in friction and the band says so; after it the press is there, with a narrow band."""
+    """Before the tare, friction hides the press and the band is wide; after it, the press shows with a narrow band."""
     force = np.array([3.0, -2.0, 4.0, 0.0, 0.0, 0.0])
     estimator = Estimator(model, truth.robot, "kf", bias=True)
     states = list(resting(force, seconds=4.0).states())
@@ -475,7 +475,7 @@ def test_at_rest_the_band_holds_whatever_friction_does(truth, model, resting, op
 
 
 def test_what_a_pose_hides_stays_as_the_prior_has_it(truth, model, way) -> None:
-    """Seven axes on one line for a minute: five directions keep their prior, and no force is made up."""
+    """Seven collinear axes for a minute: five directions keep their prior, and no false force appears."""
     estimator = Estimator(replace(model, frames=ON_ONE_LINE, gravity=np.zeros(3)), truth.robot, **way)
     state = State(t=0.0, dt=0.02, q=np.zeros(7), qd=np.zeros(7), tau=0.3 * np.ones(7))
     for _ in range(3000):
@@ -500,8 +500,8 @@ def test_a_contact_at_a_known_point_has_the_moment_of_its_force(truth, model, ex
 
 @pytest.mark.parametrize("way", ["map", "observer"])
 def test_friction_of_the_load_takes_nothing_from_a_contact(perfect, way: str) -> None:
-    """Gears lose a share of what they pass on, the contact's torque included: the torque of the contact stays exact."""
-    model = replace(perfect, rotor=np.zeros(7))  # what a rotor takes counts as load to the momentum
+    """Gears lose a share of the torque they transmit, including the contact's; the contact torque stays exact."""
+    model = replace(perfect, rotor=np.zeros(7))  # momentum methods count rotor torque as load
     share, force = np.linspace(0.02, 0.2, 7), np.array([20.0, -15.0, 30.0, 0.0, 0.0, 0.0])
     t = np.arange(0.0, 2.0, 0.004)
     q, qd, _ = identify.dither(np.linspace(0.2, -0.4, 7), 2.0).sample(t)
@@ -524,7 +524,7 @@ def test_friction_of_the_load_takes_nothing_from_a_contact(perfect, way: str) ->
 
 @pytest.mark.parametrize("way", ["map", "bounded", "observer", "kf"])
 def test_doubt_grows_with_the_torque_of_a_contact(perfect, truth, log, way: str) -> None:
-    """What gains have in common is a share of the wrench; their differences, and load friction, are of each joint."""
+    """A common gain error scales the wrench; gain differences and load friction act on each joint."""
     alike, apart = np.full((7, 7), 0.1**2), 0.1**2 * np.eye(7)
     np.testing.assert_allclose(replace(perfect, gain_cov=alike).contact_doubt ** 2, 0.0, atol=1e-15)
     np.testing.assert_allclose(replace(perfect, gain_cov=apart).contact_doubt, 0.1 * np.sqrt(6 / 7))
@@ -537,7 +537,7 @@ def test_doubt_grows_with_the_torque_of_a_contact(perfect, truth, log, way: str)
 
 @pytest.mark.parametrize("way", ["map", "bounded", "observer"])
 def test_the_band_widens_away_from_the_identified_motion(truth, model, excited, way: str) -> None:
-    """At twice the speed, the parameters leave more of the torque of every joint open."""
+    """At twice the speed, the parameters leave more uncertainty in the torque of every joint."""
     fast = Table(0.5 * excited.t, {"q": excited["q"], "qd": 2.0 * excited["qd"], "tau": excited["tau"]})
     exact = replace(model, parameters=None)
 
@@ -552,7 +552,7 @@ def test_the_band_widens_away_from_the_identified_motion(truth, model, excited, 
 def test_of_an_arm_at_rest_a_tare_takes_friction_away_until_it_moves(truth, model, method: str) -> None:
     rng, t = np.random.default_rng(2), np.arange(1500) * 0.004
     q = np.tile(truth.robot.q_home, (len(t), 1))
-    q[1250:] += 0.05  # it leaves its place
+    q[1250:] += 0.05  # the arm moves away
     force = np.where((t > 2.0) & (t < 4.0), 6.0, 0.0)[:, None] * np.eye(6)[2]
     friction = 0.8 * model.friction.static * np.where(t < 5.0, 1.0, -1.0)[:, None]
     tau = model.torque(q, np.zeros_like(q)) + friction - np.einsum("kij,ki->kj", truth.robot.chain.jacobian(q), force)

@@ -1,4 +1,4 @@
-"""Where a contact is, when it is, and how large: hypotheses, intervals of contact, comparison with measurements."""
+"""Place, time and size of a contact: hypotheses, contact intervals, comparison with measurements."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class Pushes:
     places: np.ndarray
 
     def windows(self, found: Hypotheses) -> np.ndarray:
-        """Numbers of the windows that hold one push each."""
+        """Indices of the windows that contain one push each."""
         return np.arange(len(self.places)) * 2
 
 
 def at_link(q: np.ndarray, link: int, x: np.ndarray) -> np.ndarray:
-    """Jacobian (3, 7) of a point x, base axes, on a link."""
+    """Jacobian (3, 7) of a point x on a link, in base axes."""
     J, tool = ROBOT.chain.jacobian(q), ROBOT.chain.forward(q)[:3, 3]
     return (J[:3] + np.cross(J[3:].T, x - tool).T) * (np.arange(7) < link)
 
 
 def pushes(kind: str, trials: int, seed: int, memory: float = MEMORY) -> Pushes:
-    """One second each at a random pose: 5 to 15 of the deviations that an estimate of the whole wrench states, at most
-    twice the prior's 20 N, in a direction that it sees well; the error has a correlation time of `memory`."""
+    """One-second pushes at random poses: 5 to 15 standard deviations of the full wrench estimate, at most twice the
+    prior's 20 N, in a well-observed direction; the error has a correlation time of `memory`."""
     rng = np.random.default_rng(seed)
     fade = np.exp(-STEP / memory)
     q, error, places = np.empty((trials, ROWS, 7)), np.empty((trials, ROWS, 7)), np.zeros(trials)
@@ -51,7 +51,7 @@ def pushes(kind: str, trials: int, seed: int, memory: float = MEMORY) -> Pushes:
         directions = rng.standard_normal((200, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         sigma = np.sqrt(np.einsum("ki,ij,kj->k", directions, P, directions))
-        chosen = int(np.argmax(sigma < np.sqrt(0.1) * 20.0))  # observability 0.9; the first where there is none
+        chosen = int(np.argmax(sigma < np.sqrt(0.1) * 20.0))  # observability 0.9; otherwise the first direction
         force = rng.uniform(5, min(15, 40 / sigma[chosen])) * sigma[chosen] * directions[chosen]
         places[k] = rng.uniform(0, 0.1) if kind == "segment" else 0.0
         at = T_base_tool[:3, 3] + T_base_tool[:3, :3] @ [0, max(places[k] - 0.06, 0), min(places[k], 0.06)]
@@ -80,8 +80,8 @@ def decisions(made: Pushes, **options) -> tuple[list[str], np.ndarray, Hypothese
 
 @pytest.mark.slow  # 5 s beside other work
 def test_clear_pushes_are_taken_for_what_they_are() -> None:
-    """At the known point 94 %, somewhere on the segment 97 %: what is left looks like a push on link 4, through the
-    axes of the wrist, and is undecided for the most part."""
+    """Correct for 94 % at the known point and 97 % on the segment; the rest look like a push on link 4 through the
+    wrist axes and are mostly undecided."""
     at_point, _, point = decisions(pushes("point", 400, seed=11))
     made = pushes("segment", 400, seed=12)
     on_segment, _, segment = decisions(made, segment=LINE)
@@ -109,7 +109,7 @@ def test_a_push_on_a_link_is_never_reported_as_one_on_the_tool_without_a_flag(se
 
 @pytest.mark.parametrize("memory", [0.025, 0.2])
 def test_the_default_memory_makes_no_false_decision_where_the_error_remembers_less_or_more(memory: float) -> None:
-    """No contact made up, no push on a link at the tool without its flag, few at the tool taken for another thing."""
+    """No false contact, no link push attributed to the tool without its flag, few tool pushes misclassified."""
     found = {kind: hypotheses(made.table, ROBOT) for kind in ("none", "point", "link")
              if (made := pushes(kind, 60, 4, memory))}  # fmt: skip
     names = {kind: [one.decision[i] for i in range(0, 120, 2)] for kind, one in found.items()}
@@ -135,7 +135,7 @@ def test_no_contact() -> None:
 
 
 def test_evidence_is_the_density_of_the_torque_error() -> None:
-    """One row, one sample: log N(tau_e; 0, J^T C J + C_tau) as scipy has it."""
+    """One row, one sample: log N(tau_e; 0, J^T C J + C_tau) as computed by SciPy."""
     from scipy.stats import multivariate_normal
 
     table = pushes("point", 1, seed=5).table.rows(slice(0, 2))
@@ -152,7 +152,7 @@ def test_evidence_is_the_density_of_the_torque_error() -> None:
 
 
 def test_an_estimated_log(truth, perfect) -> None:
-    """From the estimator's own table: a press at the tool point is one, and before it there is none."""
+    """From the estimator's own table: a press at the tool point is found, and no contact before it."""
     motion = identify.design_excitation(truth.robot, seconds=12, speed=0.3, seed=4)
     force = np.array([0.0, 12.0, -12.0, 0, 0, 0])
     log = truth.log(motion, seed=1, wrench=lambda t: np.outer((t > 6) & (t < 8), force))
@@ -188,7 +188,7 @@ def test_contacts_are_found_merged_and_short_ones_left_out() -> None:
 def test_short_presses_and_weak_ones_are_found_where_they_begin() -> None:
     rng, press = np.random.default_rng(1), np.zeros(5000)
     press[1000:1020] = 9.0  # 80 ms
-    press[3000:3250] = 3.5  # 1 s, hardly beyond the 95 % of a row
+    press[3000:3250] = 3.5  # 1 s, barely above the 95 % limit of a row
     found = contacts(estimate(press + lfilter([0.4], [1.0, -0.917], rng.standard_normal(5000))))
     assert [one.start for one in found] == pytest.approx([4.0, 12.0], abs=0.1)
     assert [one.end for one in found] == pytest.approx([4.08, 13.0], abs=0.1)
@@ -196,7 +196,7 @@ def test_short_presses_and_weak_ones_are_found_where_they_begin() -> None:
 
 @pytest.mark.parametrize("memory", [0.004, 0.05, 0.1])
 def test_less_than_one_false_alarm_in_ten_minutes(memory: float) -> None:
-    """An hour of errors with a standard deviation of 1 that forget in `memory`."""
+    """An hour of errors with a standard deviation of 1, correlated over `memory`."""
     keep = np.exp(-2.0 * 0.004 / memory)
     white = np.random.default_rng(7).standard_normal((900_000, 3))
     force = lfilter([np.sqrt(1.0 - keep * keep)], [1.0, -keep], white, axis=0)
@@ -211,7 +211,7 @@ def test_nothing_touches() -> None:
 
 
 def test_a_chain_of_short_excursions_is_no_contact() -> None:
-    """What a slow filter does without contact: 20 ms outside, 60 ms inside, and again."""
+    """Output of a slow filter without contact: 20 ms outside and 60 ms inside the band, repeatedly."""
     force = np.zeros(1000)
     for start in range(300, 600, 20):
         force[start : start + 5] = 5.0

@@ -1,4 +1,4 @@
-"""Refusals of the package: an input, its error, and words that the sentence must have."""
+"""Invalid inputs of the package, each with its error and words that the message must contain."""
 
 from __future__ import annotations
 

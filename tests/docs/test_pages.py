@@ -20,7 +20,7 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", flags=re.M | re.S)
 
 
 def programs(page: Path) -> list[str]:
-    """Return the blocks of a page, below empty lines up to their place: tracebacks name the line of the page."""
+    """Return the code blocks of a page, padded with empty lines so that tracebacks give the line on the page."""
     text = page.read_text(encoding="utf-8")
     return ["\n" * text[: found.start(1)].count("\n") + found[1] for found in BLOCK.finditer(text)]
 
@@ -31,7 +31,7 @@ PAGES = [page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.par
 
 
 def peers() -> dict[str, Any]:
-    """Return the arm of the page Conventions as Pinocchio and MuJoCo know it."""
+    """Return the arm of the Conventions page as Pinocchio and MuJoCo models."""
     import mujoco
     import pinocchio as pin
 
@@ -83,7 +83,7 @@ def test_names_for_users_of_other_programs_exist() -> None:
 
 @pytest.mark.parametrize("name", ["yumi_left", "yumi_right"])
 def test_the_functions_of_robotlib_agree_with_each_other(name: str) -> None:
-    """What the original promises: there ikine of a YuMi fails, and ikine(fkine(q)) misses by 1 rad elsewhere."""
+    """The promise of the original, whose ikine fails for a YuMi and whose ikine(fkine(q)) is off by 1 rad elsewhere."""
     (recipe,) = [program for program in programs(DOCS / "how_to" / "kinematics.md") if "fkine" in program]
     found: dict[str, Any] = {}
     exec(recipe.replace("yumi_left", name), found)
@@ -99,7 +99,7 @@ def test_the_functions_of_robotlib_agree_with_each_other(name: str) -> None:
 
 
 def test_a_how_to_shows_a_program_that_runs() -> None:
-    """A file of examples/, which tests/examples runs, or blocks, which run here; or a file of settings that is one."""
+    """A page shows a file of examples/ (run by tests/examples), code blocks (run here), or valid settings."""
     for page in HOW_TO:
         text = page.read_text(encoding="utf-8")
         shown = re.findall(r"literalinclude\} \.\./\.\./(examples/\w+\.py)", text)

@@ -1,7 +1,7 @@
-"""The RAPID modules and the controller configuration that armlab brings, as far as that can be seen without a robot.
+"""The RAPID modules and the controller configuration shipped with armlab, as far as checkable without a robot.
 
-No compiler of RAPID is at hand: blocks balance, statements end, names are declared, and each argument is one that ABB's
-manual 3HAC073318-001 lists for its instruction.
+No RAPID compiler is available; the tests check that blocks balance, statements end, names are declared, and each
+argument is one that ABB's manual 3HAC073318-001 lists for its instruction.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ARGUMENTS = {  # instruction -> optional arguments
     "start": set(),  # an assignment
 }
 BLOCKS = {"MODULE": "ENDMODULE", "PROC": "ENDPROC", "WHILE": "ENDWHILE", "IF": "ENDIF"}
-GIVEN = {  # what RAPID, the system module or the controller declares
+GIVEN = {  # declared by RAPID, the system module or the controller
     *("TRUE", "ERRNO", "ERR_UDPUC_COMM", "EGM_STOP_HOLD", "v50", "fine", "tool0"),
     *("ROB_1", "ROB_L", "ROB_R", "CJointT"),
 }

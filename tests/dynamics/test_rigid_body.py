@@ -53,17 +53,17 @@ class Peer:
 
 
 def symmetric(M: np.ndarray) -> np.ndarray:
-    """Fill in the lower half, which Pinocchio leaves open."""
+    """Fill in the lower half, which Pinocchio does not set."""
     return np.triu(M) + np.triu(M, 1).T
 
 
 def assert_near(found: np.ndarray, expected: np.ndarray, relative: float) -> None:
-    """Compare relative to the largest entry, or to 0.01 where all vanish."""
+    """Compare relative to the largest entry, or to 0.01 if that is larger."""
     np.testing.assert_allclose(found, expected, rtol=0, atol=relative * max(np.abs(expected).max(), 1e-2))
 
 
 def assert_as_pinocchio(robot: Robot, seed: int) -> None:
-    """All functions to 1e-12 of the largest entry, derivatives to 1e-9."""
+    """All functions agree to 1e-12 of the largest entry, derivatives to 1e-9."""
     peer, rng = Peer(robot), np.random.default_rng(seed)
     model, data, n = peer.model, peer.data, robot.n
     q, qd, qdd, tau = rng.normal(scale=[[1.5], [2.0], [5.0], [20.0]], size=(4, n))
@@ -140,14 +140,14 @@ def test_foreign_arms_as_pinocchio(name: str) -> None:
         pytest.skip("needs the package example-robot-data, extra robots")
     folder = Path(str(package.locate_file("cmeel.prefix/share/example-robot-data/robots")))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # other branches are left out here and there
+        warnings.simplefilter("ignore")  # some files have branches that are skipped
         robot = robots.load(folder / name, tip=TIPS[name])
     assert_as_pinocchio(robot, len(name))
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_the_wrench_turns_with_the_jacobian(seed: int) -> None:
-    """d(J^T f)/dq_j = Jd(q, e_j)^T f, and -M^-1 of it in the accelerations."""
+    """d(J^T f)/dq_j = Jd(q, e_j)^T f, and -M^-1 times that in the accelerations."""
     robot = random_robot(seed, 6)
     q, qd, qdd, f = np.random.default_rng(seed).normal(size=(4, 6))
     columns = kinematics.jacobian_derivative(robot, np.tile(q, (6, 1)), np.eye(6))
@@ -161,7 +161,7 @@ def test_the_wrench_turns_with_the_jacobian(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_energy_and_mass_matrix_over_time(seed: int) -> None:
-    """Power is work of torques; dM/dt = C + C^T."""
+    """The rate of change of energy is the power of the torques; dM/dt = C + C^T."""
     robot, h = random_robot(seed, 5), 1e-5
     q, qd, tau = np.random.default_rng(seed).normal(size=(3, 5))
     qdd = dynamics.forward_dynamics(robot, q, qd, tau)
@@ -196,7 +196,7 @@ CALLS = {
 
 @pytest.mark.parametrize("name", CALLS)
 def test_a_batch_is_a_loop_and_leading_axes_broadcast(name: str) -> None:
-    """To the last bit, also into arrays that are there."""
+    """Bit-identical, also when writing into existing arrays."""
     robot, function = random_robot(11, 4), getattr(dynamics, name)
     rng = np.random.default_rng(0)
     motion = [rng.normal(size=shape) for shape in ((3, 1, 4), (7, 4), (4,))][: CALLS[name]]
@@ -229,7 +229,7 @@ def test_base_regressor(truth) -> None:
 
 
 def test_an_identified_model(model: TorqueModel, truth) -> None:
-    """Everything that is linear in the base parameters: rotors are in, friction is not."""
+    """All terms linear in the base parameters: rotors are included, friction is not."""
     q, qd, qdd = np.random.default_rng(2).normal(size=(3, 6, model.n))
     tau = dynamics.inverse_dynamics(model, q, qd, qdd)
     np.testing.assert_allclose(tau, model.rigid_torque(q, qd, qdd), rtol=0, atol=1e-12 * np.abs(tau).max())
@@ -275,7 +275,7 @@ def test_arguments() -> None:
 
 
 def test_links_without_mass_have_no_accelerations() -> None:
-    """A point mass on the last axis; the message has the sample. A NaN is none."""
+    """A point mass on the last axis; the message names the sample. A NaN is none."""
     robot = random_robot(13, 3)
     bare = replace(robot, inertias=robot.inertias * [[1], [1], [0]], prismatic=[False] * 3)
     q = np.zeros((2, 3))

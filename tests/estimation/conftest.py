@@ -1,4 +1,4 @@
-"""Made-up linear problems that several test files share."""
+"""Synthetic linear problems shared by several test files."""
 
 from __future__ import annotations
 

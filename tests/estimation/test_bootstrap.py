@@ -32,7 +32,7 @@ def test_block_sums_are_orthonormal_and_solve_any_part(problems) -> None:
 def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_not(
     coloured: bool, formal_is_honest: bool, problems
 ) -> None:
-    """NEES over seeds: about 1 per parameter for the bootstrap, more than 3 for the formal one of AR(1) noise."""
+    """NEES per parameter over seeds: about 1 for the bootstrap, above 3 for the formal covariance with AR(1) noise."""
     nees, formal, covered = [], [], []
     for seed in range(48):
         A, y = problems.draw(seed, 6000, coloured)
@@ -54,7 +54,7 @@ def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_no
 
 
 def test_many_parameters_and_few_blocks_have_an_honest_covariance(problems) -> None:
-    """Twenty parameters, 30 stretches of coloured data: without shrinkage NEES would be above 2."""
+    """Twenty parameters, 30 segments of coloured data: without shrinkage NEES would be above 2."""
     nees, raw = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -70,7 +70,7 @@ def test_many_parameters_and_few_blocks_have_an_honest_covariance(problems) -> N
 
 
 def test_block_bootstrap_of_huber_is_as_wide_as_its_scatter(problems) -> None:
-    """Held weights alone would make the deviations 14 % too small."""
+    """Fixed weights alone would make the standard deviations 14 % too small."""
     drawn, solutions = [], []
     for seed in range(40):
         A, y = problems.draw(seed, 2000)
@@ -96,7 +96,7 @@ def test_draws_respect_bounds_and_priors(problems) -> None:
 
 
 def test_spread_counts_the_blocks_that_tell_a_parameter() -> None:
-    """All ten tell the first, one tells the second, half of them the third; the fourth is held by a prior."""
+    """All ten blocks determine parameter a, one determines b, and half of them c; a prior holds d."""
     A = np.zeros((1000, 1, 4))
     x = np.random.default_rng(0).standard_normal((1000, 3))
     block = np.arange(1000) // 100

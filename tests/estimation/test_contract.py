@@ -18,7 +18,7 @@ TRUTH = np.array([2.0, -1.0, 0.5])
 NAMES = ("slope", "bend", "offset")
 UNITS = ("N/m", "N/m^2", "N")
 NOISE = 0.1
-FEW = 20  # runs, where one would be enough for what is looked for
+FEW = 20  # runs, although one would show the fault
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ def test_a_property_is_skipped_with_its_reason_or_needs_its_means() -> None:
 
 
 def test_errors_may_be_those_of_validation_where_the_covariance_has_not_full_rank() -> None:
-    """Only the sum of two parameters is told; the curve is, and its covariance has rank three of four."""
+    """Only the sum of two parameters is identifiable, but the curve is; its covariance has rank three of four."""
     x = np.linspace(-1, 1, 12)
     J = np.column_stack([columns(x), np.ones(12)])
 

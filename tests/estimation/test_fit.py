@@ -1,4 +1,4 @@
-"""Fit and excitation: a value with its covariance, its report and its file; refusal of unseen directions by name."""
+"""Fit and excitation: value, covariance, report and file; errors that name unobservable directions."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_check_spread_judges_the_deviation_and_not_the_rank() -> None:
     np.testing.assert_allclose(good.spread, 0.01 / LIMITS)
     assert good.weakest == "viscous (0.01 m)"
     assert "good" in good.text()
-    J[2, 2] = 10.0  # full rank, but a deviation of 0.1 m
+    J[2, 2] = 10.0  # full rank, but a standard deviation of 0.1 m
     with pytest.raises(NotExcited, match=r"exceed their limits along: viscous \(0.1 m\)") as caught:
         check_spread(J, NAMES, UNITS, LIMITS, "model")
     assert caught.value.spread == ("2 times the limit",)

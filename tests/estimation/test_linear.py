@@ -36,12 +36,12 @@ def test_ols_is_that_of_lstsq(problems) -> None:
     np.testing.assert_allclose(found.cov, whole, rtol=1e-9)
     np.testing.assert_allclose(found.R @ found.basis @ (found.R @ found.basis).T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(least_squares(rows(A, A @ problems.theta), problems.names).x, problems.theta, rtol=1e-11)
-    A[:, 1] = 0.0  # a class that is silent
+    A[:, 1] = 0.0  # a class without signal
     np.testing.assert_allclose(least_squares(rows(A, A @ problems.theta), problems.names).x, problems.theta, rtol=1e-11)
 
 
 def test_ten_digits_at_a_scaled_condition_of_1e4() -> None:
-    """Normal equations would leave eight of sixteen digits at best; the bar is eight."""
+    """Normal equations would keep eight of sixteen digits at best; the target is eight."""
     rng = np.random.default_rng(0)
     left, right = np.linalg.qr(rng.standard_normal((3000, 20)))[0], np.linalg.qr(rng.standard_normal((20, 20)))[0]
     A = (left * np.geomspace(1.0, 1e-4, 20)) @ right * np.geomspace(1e-6, 1e6, 20)
@@ -81,14 +81,14 @@ def test_formal_covariance_is_honest_for_white_noise(method: str, problems) -> N
 
 @pytest.mark.parametrize(("method", "stays"), [("ols", False), ("irls", True), ("lts", True)])
 def test_gross_outliers(method: str, stays: bool, problems) -> None:
-    """5 % of the rows off by ten deviations: within 1.3 of the clean error, except for OLS."""
+    """5 % of the rows off by ten standard deviations: at most 1.3 times the clean error, except for OLS."""
     clean, spoilt = [], []
     for seed in range(20):
         A, y = problems.draw(seed, 3000)
         clean.append(least_squares(rows(A, y), problems.names, method="ols").x - problems.theta)
         bad = np.zeros(3000, dtype=bool)
         rng = np.random.default_rng(seed)
-        if method == "lts":  # it is for stretches of time: a push
+        if method == "lts":  # meant for whole segments, such as a push
             bad[1000:1150] = True
             y = y + 10.0 * bad[:, None]
         else:
@@ -110,7 +110,7 @@ def test_gross_outliers(method: str, stays: bool, problems) -> None:
 
 def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> None:
     A, y = problems.draw(3, 600)
-    A[60:, 0, 2] *= 1e-5  # one block of ten tells the third parameter
+    A[60:, 0, 2] *= 1e-5  # one block in ten determines the third parameter
     rows = list(Rows.of(A, y, np.arange(600) // 60))
     with pytest.raises(NotExcited, match="Move every joint throughout the recording"):
         least_trimmed_squares(least_squares(rows, problems.names))
@@ -129,13 +129,13 @@ def test_bounds_hold_and_say_what_they_cost(problems) -> None:
     assert found.growth == pytest.approx(rms[1] / rms[0] - 1.0, rel=1e-6)
     assert free.active == ()
     assert free.growth == 0.0
-    assert found.cov[0, 0] > 0  # a bound is no measurement
+    assert found.cov[0, 0] > 0  # a bound is not a measurement
     np.testing.assert_array_equal(least_squares(rows(A, y), problems.names, lower=np.full(3, -1e4)).x, free.x)
 
 
 def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problems) -> None:
     A, y = problems.draw(4, 400)
-    A = np.concatenate([A, A[:, :, :1] * 2.0], axis=2)  # a parameter that only its sum with mass is told
+    A = np.concatenate([A, A[:, :, :1] * 2.0], axis=2)  # only its sum with mass is identifiable
     names = (*problems.names, "load")
     with pytest.raises(NotExcited, match=r"mass and load|load and mass"):
         least_squares(rows(A, y), names)
@@ -144,7 +144,7 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
     assert len(found.excitation.held) == 1
     assert "held by the prior: " in found.excitation.text()
     assert found.basis.shape == (4, 3)
-    np.testing.assert_allclose(found.x[0] + 2 * found.x[3], 1.0, atol=0.2)  # told by the data
+    np.testing.assert_allclose(found.x[0] + 2 * found.x[3], 1.0, atol=0.2)  # determined by the data
     hidden = found.excitation.vectors[:, 3] * found.excitation.scale
     np.testing.assert_allclose(hidden @ found.x, hidden @ prior.values, rtol=1e-9)
     np.testing.assert_allclose(hidden @ found.cov @ hidden, np.sum((hidden * prior.sd) ** 2), rtol=1e-6)
@@ -154,7 +154,7 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
 
 
 def test_within_bounds_of_parameters_that_vary_as_one() -> None:
-    """A draft of few logs leaves such covariances: singular while both are at their bounds."""
+    """A draft from few logs gives such covariances, singular while both parameters are at their bounds."""
     cov, bound = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.ones(3)
     found = within_bounds(np.array([2.0, 3.0, 0.5]), cov, -bound, bound)
     np.testing.assert_allclose(found, [0.0, 1.0, 0.5], atol=1e-9)

@@ -49,7 +49,8 @@ KOWALIK = (
      [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2], 6.6279236551e-3),
 ], ids=["Misra1a, far", "MGH09"])  # fmt: skip
 def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> None:
-    """NIST Statistical Reference Datasets, nonlinear regression: parameters, deviations, residual deviation."""
+    """NIST Statistical Reference Datasets, nonlinear regression: parameters, their standard deviations, and that of the
+    residual."""
     x, y = (np.array(part, dtype=float) for part in data)
     found = nonlinear_least_squares(curve(x, y, model), np.array(start, dtype=float))
     np.testing.assert_allclose(found.value, certified, rtol=1e-7)
@@ -120,7 +121,7 @@ def test_two_classes_of_noise_find_their_own_deviation() -> None:
 
 
 def test_noise_is_found_beside_a_part_that_is_known() -> None:
-    """y = A x + noise, its covariance sigma^2 I + S_i with S_i known: both the answer and sigma are honest."""
+    """y = A x + noise with covariance sigma^2 I + S_i and known S_i: both the estimate and sigma are honest."""
     rng = np.random.default_rng(1)
     found = []
     for _ in range(25):
@@ -166,7 +167,7 @@ def test_exact_data_and_too_few() -> None:
 
 
 def test_a_start_that_is_near_is_not_left() -> None:
-    """Two crowds: a loss that begins wide finds the larger one, a narrow one that at which it begins."""
+    """Two clusters: a loss that starts wide finds the larger one; a narrow loss stays at the one where it starts."""
     y = np.concatenate([np.zeros(60), np.ones(40)]) + SIGMA * np.random.default_rng(0).standard_normal(100)
 
     def evaluate(b: np.ndarray) -> list[Measurement]:
@@ -227,7 +228,7 @@ TRUTH = np.array([1.5, -0.8, 0.4])
 
 
 def rows(seed: int, n: int = 100, sigma: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of one deviation in two columns and in y; the third column is an offset."""
+    """Errors with the same standard deviation in two columns and in y; the third column is an offset."""
     rng = np.random.default_rng([3, seed])
     A = np.column_stack([rng.standard_normal((n, 2)), np.ones(n)])
     y = A @ TRUTH
@@ -267,7 +268,8 @@ def test_weighted_is_plain_where_weights_are_equal() -> None:
 
 
 def test_no_bias_and_honest_covariance() -> None:
-    """Errors of a tenth of the signal: least squares is off by many deviations, this by none. NEES/3 is 1."""
+    """Errors of a tenth of the signal: least squares is off by many standard deviations, this fit is not. NEES/3 is
+    1."""
     found = [total_least_squares(*rows(seed), exact=[2]) for seed in range(100)]
     e = np.array([one.x - TRUTH for one in found])
     mean = np.linalg.inv(found[0].cov)

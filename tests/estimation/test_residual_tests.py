@@ -68,7 +68,7 @@ def covered(case: Callable[[int, int, float], Case], runs: int, N: int, phi: flo
 
 @pytest.mark.parametrize("case", [hand_eye, force])
 def test_slow_noise_does_not_narrow_the_covariance(case) -> None:
-    """White covariances of AR(1) 0.9 noise cover 1 %."""
+    """With AR(1) noise of 0.9, covariances that assume white noise cover 1 %."""
     assert covered(case, 15, 40, 0.9) > 0.8
     fit, _ = case(0, 40, 0.9)
     assert not fit.good
@@ -82,7 +82,7 @@ def test_slow_noise_does_not_narrow_the_covariance(case) -> None:
 @pytest.mark.parametrize("N", [30, 100])
 @pytest.mark.parametrize("case", [hand_eye, force])
 def test_coverage_of_slow_noise(case, N) -> None:
-    """Of a hand-eye of 30 poses 98.7 %: too wide, where 97 % is wanted."""
+    """Hand-eye calibration with 30 poses covers 98.7 %: too wide, as the target is 97 %."""
     assert 0.90 <= covered(case, 300, N, 0.9) <= 0.99
 
 
@@ -90,12 +90,12 @@ def test_coverage_of_slow_noise(case, N) -> None:
 @pytest.mark.parametrize("N", [4, 5, 8])
 @pytest.mark.parametrize("case", [hand_eye, force])
 def test_coverage_of_few_samples(case, N) -> None:
-    """From 93 to 97 %, at the lower end within two standard errors of 1500 runs."""
+    """Coverage is 93 to 97 %, allowing two standard errors of 1500 runs at the lower end."""
     assert 0.919 <= covered(case, 1500, N, 0.0) <= 0.97
 
 
 def test_three_poses_cover_what_they_say() -> None:
-    """Without Student's factor they cover 50 %; one class that is fitted exactly must not take all."""
+    """Without Student's factor they cover 50 %; a class that is fitted exactly must not dominate."""
     assert covered(hand_eye, 40, 3, 0.0) >= 0.90
 
 

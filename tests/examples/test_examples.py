@@ -1,5 +1,5 @@
-"""Every example runs and prints something: the long ones as a reader would run them, alone in a process, the short ones
-here, where what they import is there already."""
+"""Every example runs and prints something: long ones in a separate process, as a reader would run them; short ones
+here, where their imports are already loaded."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(name: str, folder: Path) -> str:
-    """Run an example, after the one that it needs, and return what it printed; once for all tests."""
+    """Run an example after the one it depends on, once for all tests, and return its output."""
     if (folder, name) not in PRINTED:
         if name in NEEDS and not (folder / NEEDS[name][1]).exists():
             run(NEEDS[name][0], folder)
@@ -58,7 +58,7 @@ def run(name: str, folder: Path) -> str:
 
 
 def run_here(path: Path, folder: Path) -> str:
-    """Run a file in this process, in a namespace of its own."""
+    """Run a file in this process, in a separate namespace."""
     with chdir(folder), redirect_stdout(StringIO()) as printed:
         runpy.run_path(str(path), run_name="__main__")
     return printed.getvalue()
@@ -87,7 +87,7 @@ def test_example_runs(name: str, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_errors_on_the_page_are_those_of_the_example(folder: Path) -> None:
-    """How true the band is, on the page about contact forces: what 12_source_report.py prints, but for rounding."""
+    """The accuracy on the page about contact forces matches the output of 12_source_report.py, up to rounding."""
     number = r"(\d\.\d\d)"
     printed = re.findall(rf"{number} {number} {number} N RMS, (\d+) %", run("12_source_report.py", folder))
     page = (ROOT / "docs" / "how_to" / "contact_force.md").read_text(encoding="utf-8")
@@ -100,7 +100,7 @@ def test_the_errors_on_the_page_are_those_of_the_example(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_program_of_the_readme_runs(folder: Path) -> None:
-    """As it stands there, but in lockstep and for two seconds."""
+    """As printed there, but in lockstep and for two seconds."""
     program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     assert program
     text = program[1].replace("sim://yumi_right", "sim://yumi_right?lockstep=true").replace("seconds=10", "seconds=2")

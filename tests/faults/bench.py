@@ -1,8 +1,8 @@
 """A bridge and simulated controllers in one thread and in virtual time, with a bad network between them.
 
-The bridge runs as on a real robot: real-time clock, time-outs, guard, recorder. Only `time` is ours, and the guard is
-called where its thread would wake. So a minute passes in a second, and each run is the same as the last. `judge` says
-what must hold in every run. Below: real processes in real time, and what their logs must be.
+The bridge runs as on a real robot: real-time clock, time-outs, guard, recorder. Only `time` is replaced, and the guard
+is called when its thread would wake. A minute therefore passes in a second, and all runs are identical. `judge` checks
+what must hold in every run. Below: real processes in real time, and checks of their logs.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
 from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
-WIRE = 1e-4  # s that a datagram takes at best
+WIRE = 1e-4  # s, minimum latency of a datagram
 NEVER_VALID = 0x07  # a first byte that no protobuf message has
 
 
 @dataclass(frozen=True)
 class Bad:
-    """Shares of datagrams that are lost (`burst` in a row), doubled, overtaken, damaged; mean and SD of delay [s]."""
+    """Shares of datagrams lost (`burst` in a row), duplicated, reordered, corrupted; mean and SD of the delay [s]."""
 
     loss: float = 0.0
     burst: int = 1
@@ -58,7 +58,7 @@ class Bad:
 
 
 GOOD = Bad()
-FIRST = 6  # datagrams of which one is lost, see `unlucky`: an arm that is to stop is not at rest yet
+FIRST = 6  # datagrams, one of which is lost, see `unlucky`: a stopping arm is not yet at rest
 
 
 class Way:
@@ -75,11 +75,11 @@ class Way:
         return self._under_way[0][0] if self._under_way else math.inf
 
     def put(self, now: float, data: bytes) -> None:
-        if not self._begin <= now < self._end:  # nothing is drawn: a seed tells what happens from the beginning on
+        if not self._begin <= now < self._end:  # no random draws: a seed determines what happens from `begin` on
             self._deliver(now + WIRE, data)
             return
         bad = self._bad
-        begins = bad.loss / (bad.burst - bad.loss * (bad.burst - 1))  # a burst, so often that `loss` is the share
+        begins = bad.loss / (bad.burst - bad.loss * (bad.burst - 1))  # burst rate for which `loss` is the share lost
         lost, twice, behind, damaged = self._random.random(4) < (begins, bad.duplicate, bad.reorder, bad.corrupt)
         late = WIRE + max(0.0, bad.delay + bad.jitter * self._random.standard_normal())
         if self._losing or lost:
@@ -95,11 +95,11 @@ class Way:
         heapq.heappush(self._under_way, (due, self._count, data))
 
     def take(self, now: float) -> bytes | None:
-        """Return the next datagram that has arrived, None when none has."""
+        """Return the next datagram that has arrived, or None."""
         return heapq.heappop(self._under_way)[2] if self.due <= now else None
 
     def cut(self) -> None:
-        """Lose what is under way."""
+        """Drop all datagrams in transit."""
         self._under_way.clear()
 
 
@@ -118,8 +118,8 @@ def unlucky(bad: Bad, period: float) -> int:
 ROBOT = robots.load("yumi_right")
 MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
 PERIOD = 0.004032
-COMPUTES = 3e-4  # s that a call of the controller takes
-NAP = 2e-3  # s between two looks of the guard once it answers
+COMPUTES = 3e-4  # s per controller call
+NAP = 2e-3  # s between checks of the guard once it replies
 BRIDGE = ("127.0.0.1", 6510)
 WALL_NS = 1_700_000_000_000_000_000
 PATIENCE = 5.0  # s of the bridge
@@ -129,11 +129,11 @@ MODULES = (
     "control.loop",
     "control.recording",
     "control.supervision",
-)  # of the bridge, that read a clock
+)  # modules of the bridge that read a clock
 
 
 class Sent(NamedTuple):
-    """One reply as the bridge sent it, and where to."""
+    """One reply as sent by the bridge, and its destination."""
 
     t: float
     data: bytes
@@ -141,7 +141,7 @@ class Sent(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a run left behind; `failure` is what it raised."""
+    """Results of a run; `failure` is the exception it raised."""
 
     run: Run
     failure: BaseException | None
@@ -152,7 +152,7 @@ class Outcome(NamedTuple):
 
     @property
     def told(self) -> str:
-        """Every word that the user could read: exception, report, events."""
+        """All text shown to the user: exception, report, events."""
         events = "\n".join(text for _, text in self.run.events)
         return f"{self.failure or ''}\n{self.run.report()}\n{events}"
 
@@ -160,8 +160,8 @@ class Outcome(NamedTuple):
 class Station:
     """One robot's controller on the network, from its first cycle at `begins_at` [s] on.
 
-    `packets`: q measured, whether it guides, and robot time, by the `tm` of each packet. `motion`: q and qd of the arm,
-    cycle by cycle. `change`: what is done to each packet before it is sent.
+    `packets`: measured q, whether guidance is active, and robot time, by the `tm` of each packet. `motion`: q and qd of
+    the arm, cycle by cycle. `change`: modification of each packet before it is sent.
     """
 
     def __init__(
@@ -184,12 +184,12 @@ class Station:
         self.motion: list[tuple[np.ndarray, np.ndarray]] = []
 
     def move(self, source: tuple[str, int]) -> None:
-        """Go on from another port; what is under way to the old one is lost."""
+        """Continue from another port; datagrams in transit to the old one are lost."""
         self.source, self.sources = source, (*self.sources, source)
         self.back.cut()
 
     def cycle(self) -> None:
-        """Take what has arrived, send, move."""
+        """Read the received datagrams, send, move."""
         controller, now = self.controller, self.due
         self.due += PERIOD
         while (data := self.back.take(now)) is not None:
@@ -212,8 +212,8 @@ Script = Callable[[float, State], Command | None]  # virtual time and state give
 class Bench:
     """Virtual time, the network, and a bridge on it.
 
-    `wall_step`: how far the wall clock was set since the beginning [s]. `at`: what happens, by virtual time [s].
-    `takes`: whether the system takes a reply.
+    `wall_step`: how far the wall clock was set since the beginning [s]. `at`: events by virtual time [s].
+    `takes`: whether the operating system accepts a reply.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -266,7 +266,7 @@ class Bench:
         assert again.run.reason == "the time is up"
 
     def pass_time(self, seconds: float, guarded: bool = True) -> None:
-        """Let time pass in the thread of the loop: the robots go on, and so does the guard, unless all stands still."""
+        """Let time pass in the loop thread: the robots continue, and so does the guard unless everything stalls."""
         end = self.now + seconds
         while self.now < end:
             left = max(self._loop.overdue(), 0.0) if guarded and self._loop else math.inf
@@ -275,14 +275,14 @@ class Bench:
                 self._loop.answer_for_controller()
 
     def closing(self, patience: float) -> bool:
-        """Wait, in another thread, until the run is over and its recording is to be closed."""
+        """Wait, in another thread, until the run is over and its recording is about to close."""
         recorder, end = self._loop._pace.recording._recorder, time.monotonic() + patience
         while not recorder._closed and time.monotonic() < end:
             time.sleep(0.001)
         return recorder._closed
 
     def written(self, patience: float) -> int:
-        """Wait until all rows so far are in the file of the recording, and return how many they are."""
+        """Wait until all rows so far are in the recording file, and return their number."""
         recorder = self._loop._pace.recording._recorder
         end = time.monotonic() + patience
         while recorder._file.rows < recorder.rows:
@@ -307,7 +307,7 @@ class Bench:
         stack.enter_context(self._guarded(loop))
 
     def _advance(self, until: float) -> None:
-        """Let one thing happen, not later than `until`."""
+        """Process one event, no later than `until`."""
         robot = min(self.stations, key=lambda station: station.due)
         first = min([robot.due, until, *self.at])
         self.now = max(self.now, first)
@@ -352,7 +352,7 @@ class Bench:
 
 @dataclass
 class Motion:
-    """Sways from where the last reference left the arm; positions, so that time that was lost would be a jump."""
+    """Sways from the last reference; commands positions, so that lost time would cause a jump."""
 
     holds: tuple[float, float] = (0.0, 0.0)
     stops: float = math.inf
@@ -362,11 +362,11 @@ class Motion:
 
     @classmethod
     def that_stops(cls, at: float) -> Motion:
-        """Be fast at a time, and stop half a cycle before: the arm needs eight more to come to rest."""
+        """Move fast, and stop half a cycle before a time; the arm needs eight more cycles to come to rest."""
         return cls(stops=at - 0.002, amplitude=0.18, rate=6.0)
 
     def begin_anew(self) -> None:
-        """Sway from where the arm is then: another controller was in charge."""
+        """Restart the sway from the current arm position, after another controller was in charge."""
         self._from = None
 
     def __call__(self, t: float, state: State) -> Command | None:
@@ -382,12 +382,12 @@ class Motion:
 
 
 LIMITS = Limits.of(ROBOT)
-GAP = 3 * PERIOD  # s that a reference may move on at most at full speed, however long nothing was sent
-SLACK = 1e-9  # of degrees on the wire
+GAP = 3 * PERIOD  # s of full-speed motion allowed for a reference, however long nothing was sent
+SLACK = 1e-9  # rounding of the degrees sent
 
 
 def judge(bench: Bench, outcome: Outcome, since: int = 0, ahead: float = 0.0) -> None:
-    """Judge a run that sent the replies of the bench from number `since` on; `ahead` as in `within_limits`."""
+    """Judge a run whose replies start at number `since`; `ahead` as in `within_limits`."""
     within_limits(bench, since, ahead)
     log_is_what_was_sent(bench, outcome.table, since)
     for station in bench.stations:
@@ -397,15 +397,15 @@ def judge(bench: Bench, outcome: Outcome, since: int = 0, ahead: float = 0.0) ->
 
 
 def met_in_motion(bench: Bench, at: float) -> None:
-    """What was sent last before a time had a speed."""
+    """Check that the last reply before a time had a nonzero speed."""
     before = [reply.qd for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t <= at]
     assert before[-1].any(), "the arm was at rest before anything failed"
 
 
 def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
-    """Every reply is within the limits for the robot time since the one before, and a gap allows no larger step.
+    """Every reply is within the limits for the robot time since the previous one, and a gap allows no larger step.
 
-    `ahead`: time by which a clock of the robot may be believed beyond arrivals [s].
+    `ahead`: time by which the robot clock may be trusted beyond arrivals [s].
     """
     answered: set[tuple[int, int]] = set()
     before: tuple[np.ndarray, np.ndarray, float] | None = None
@@ -418,7 +418,7 @@ def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
         assert (sent.to[1], reply.tm_ms) not in answered, "two replies to one packet"
         answered.add((sent.to[1], reply.tm_ms))
         if not guides:
-            assert np.abs(reply.q - feedback).max() < SLACK, "before guidance, feedback goes back"
+            assert np.abs(reply.q - feedback).max() < SLACK, "before guidance, replies repeat the feedback"
             assert not reply.qd.any()
             before = None
             continue
@@ -431,10 +431,10 @@ def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
         q, qd, then = before
         longest = 1.01 * (now - then) + ahead
         moved, step = reply.q - q, longest
-        if reply.qd.any():  # the time in which this speed makes this step
+        if reply.qd.any():  # the time this speed needs for this step
             step = float(moved @ reply.qd / (reply.qd @ reply.qd))
-            assert 0.0 < step <= longest, f"a speed of another time at {sent.t:.3f} s"
-        assert np.abs(moved - reply.qd * step).max() <= SLACK, f"not as fast as said at {sent.t:.3f} s"
+            assert 0.0 < step <= longest, f"a speed that does not match the step at {sent.t:.3f} s"
+        assert np.abs(moved - reply.qd * step).max() <= SLACK, f"not as fast as stated at {sent.t:.3f} s"
         braked = np.maximum(np.abs(qd) - LIMITS.qdd_max * step, 0.0) * step
         furthest = np.maximum(LIMITS.qd_max * min(step, 1.01 * GAP), braked)
         assert (np.abs(moved) <= furthest + SLACK).all(), f"a jump at {sent.t:.3f} s"
@@ -444,7 +444,7 @@ def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
 
 
 def log_is_what_was_sent(bench: Bench, table: Table, since: int = 0, end: int | None = None) -> None:
-    """Every reply has its row, and what the row says makes the same bytes again."""
+    """Every reply has a row, and encoding the row gives the same bytes."""
     codec = EgmCodec(ROBOT, extension=True)
     heard, sent = bench.heard()[since:end], bench.sent[since:end]
     if not sent:
@@ -457,12 +457,12 @@ def log_is_what_was_sent(bench: Bench, table: Table, since: int = 0, end: int | 
         reference = Reference(
             q[k], qd[k], None, int(seqs[k]), reply.tm_ms or 0, reply.echo_seq or 0, reply.echo_mono_ns or 0
         )
-        assert codec.encode(reference) == sent[k].data, f"row {rows[k]} is not what was sent"
+        assert codec.encode(reference) == sent[k].data, f"row {rows[k]} differs from the reply sent"
 
 
 LONGEST = 30.0  # s; only a test that fails waits so long
 NO_DATA = "41822 No data from the UdpUc device"
-REST = 0.01  # rad/s, of the true arm; its reference stands still
+REST = 0.01  # rad/s, of the true arm while its reference is constant
 
 
 def sway(state: State) -> Command:
@@ -470,7 +470,7 @@ def sway(state: State) -> Command:
 
 
 def is_whole(table: Table, lost: tuple[int, ...] = ()) -> None:
-    """Rows without a hole, but for the ticks that are said to be lost; references without a jump.
+    """No missing rows except for the ticks in `lost`; no jumps in the references.
 
     A packet that was overtaken has no reference.
     """
@@ -478,7 +478,7 @@ def is_whole(table: Table, lost: tuple[int, ...] = ()) -> None:
         return
     ticks = [tick for tick in range(len(table) + len(lost)) if tick not in lost]
     np.testing.assert_array_equal(table["tick"], ticks)
-    step = 1.5 * max(PERIOD, table["dt"].max())  # on a busy machine the simulated robot leaves cycles out
+    step = 1.5 * max(PERIOD, table["dt"].max())  # on a busy machine the simulated robot skips cycles
     for session in np.unique(table["session"]):
         sent = table["q_sent"][table["session"] == session]
         sent = sent[np.isfinite(sent).all(axis=1)]
@@ -488,7 +488,7 @@ def is_whole(table: Table, lost: tuple[int, ...] = ()) -> None:
 
 @contextlib.contextmanager
 def program(*words: str, errors: IO[str] | int = subprocess.PIPE) -> Iterator[subprocess.Popen[str]]:
-    """A program of ours, ended with the test."""
+    """A Python process that ends with the test."""
     process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=errors, text=True)
     try:
         yield process
@@ -508,7 +508,7 @@ def free_port() -> int:
 
 
 class SimulatedRobot:
-    """`armlab sim` as a process: what it says while it runs, and what it counted and knew when it has ended."""
+    """`armlab sim` as a process: its output while it runs, and its statistics and true motion after it has ended."""
 
     def __init__(self, folder: Path, port: int) -> None:
         self._said, self._stats, self._truth = (folder / name for name in ("said.txt", "stats.json", "truth.csv"))
@@ -524,18 +524,18 @@ class SimulatedRobot:
             self._process.wait(LONGEST)
 
     def timeouts(self) -> int:
-        """Return how many time-outs it has told so far; what it says is in the file before its next packet."""
+        """Return the number of time-outs reported so far; output is in the file before the next packet."""
         return self._said.read_text().count(NO_DATA)
 
     def wait_for_timeout(self, before: int) -> None:
-        """Wait until it has told one more."""
+        """Wait until one more time-out is reported."""
         end = time.monotonic() + LONGEST
         while self.timeouts() == before:
             assert time.monotonic() < end, self._said.read_text()
             time.sleep(0.01)
 
     def judge(self) -> list[str]:
-        """Its arm stayed within the limits, and stood at the beginning of each session. Return its events."""
+        """Check that the arm stayed within its limits and was at rest when each session began. Return its events."""
         [counted] = json.loads(self._stats.read_text()).values()
         events = [f"{event['number']} {event['text']}" for event in counted["events"]]
         assert not any("out of bounds" in event for event in events), events

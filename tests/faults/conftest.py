@@ -11,7 +11,7 @@ from .bench import Bench
 
 @pytest.fixture
 def make_bench(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Bench]:
-    """Return what makes a bench with a time of its own; one at a time runs."""
+    """Return a factory of benches, each with its own virtual time; only one runs at a time."""
     return lambda: Bench(monkeypatch, tmp_path_factory.mktemp("logs"))
 
 

@@ -20,7 +20,7 @@ KINDS = ("network", "robot", "process", "controller", "disk", "memory", "clock")
 """Sections of the page."""
 
 NO_WORDS = "–"
-"""Where there is nothing to tell."""
+"""For cells without a message."""
 
 TESTS = Path(__file__).parents[1]
 
@@ -43,7 +43,7 @@ class Cell:
         return f"{self.fault}, {self.state}"
 
     def is_told(self, text: str) -> bool:
-        """Whether a text has the words."""
+        """Return whether a text contains the expected message."""
         words = re.escape(self.told).replace("…", ".*?")
         words = re.sub(r"\bN\b", r"[1-9]\\d*", words)
         return self.told == NO_WORDS or re.search(words, text) is not None
@@ -67,7 +67,7 @@ CELLS = tuple(_read())
 def shows(test: Any) -> Any:
     """Run a test with each of its cells.
 
-    In the default tests a fault that no other stands for meets a moving arm only, or its first state.
+    In the default tests, a fault not covered by another row meets only a moving arm, or its first state.
     """
     node = f"{Path(test.__code__.co_filename).relative_to(TESTS.parent).as_posix()}::{test.__name__}"
     own = [cell for cell in CELLS if cell.test == node]

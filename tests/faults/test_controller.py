@@ -1,7 +1,7 @@
-"""A controller that raises, sleeps, or returns what is no command; in virtual time.
+"""A controller that raises, sleeps, or returns an invalid command; in virtual time.
 
-One that closes file descriptors runs in a process and in real time: the descriptors of the tests stay open. Some rows
-of the matrix are slow.
+One that closes file descriptors runs in a separate process in real time, so that the tests' own descriptors stay open.
+Some rows of the matrix are slow.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .bench import LONGEST, PERIOD, ROBOT, Bench, Motion, SimulatedRobot, free_p
 from .matrix import Cell, shows
 
 BEGINS = {"holding": 0.0, "running": 0.3}
-AFTER = 0.5  # s of motion when it is over
+AFTER = 0.5  # s of motion after the fault
 
 
 class Wrong(NamedTuple):
-    """What it does, how often, and what the run raises then."""
+    """What the controller does, how often, and the exception that the run then raises."""
 
     does: Callable[[Bench, State], Any]
     times: float = np.inf
@@ -130,7 +130,7 @@ for file in files:
 
 @shows
 def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None:
-    """The controller's own files, which took the numbers of the socket and the log, are left alone."""
+    """The controller's own files, which reuse the descriptors of the socket and the log, are left alone."""
     port, path, own = free_port(), tmp_path / "run.mcap", tmp_path / "own"
     robot = SimulatedRobot(tmp_path, port)
     words = ("-c", CLOSES, str(port), str(path), cell.state, str(own))
@@ -144,11 +144,11 @@ def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None
     assert log.inspect(path).finished
     table = log.read(path)
     is_whole(table)
-    assert counted == str(len(table)), "every packet has its row, and the log no problem"
+    assert counted == str(len(table)), "every packet has a row, and the log has no problem"
     sent = table["qd_sent"][np.isfinite(table["qd_sent"]).all(axis=1)]
     assert sent.any() == (cell.state == "running")
     rests = np.asarray(table.t) > table.t[-1] - 0.3
-    assert not np.nan_to_num(table["qd_sent"][rests]).any(), "it came to rest, and rested"
+    assert not np.nan_to_num(table["qd_sent"][rests]).any(), "the arm came to rest and stayed at rest"
     assert table["t"][-1] > 0.7
     assert [Path(f"{own}{k}").read_text() for k in range(8)] == ["theirs"] * 8
     robot.judge()
@@ -182,7 +182,7 @@ def test_the_run_goes_on(bench: Bench, cell: Cell) -> None:
 
 @shows
 def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One packet has no reply; the next one is one step from the last that went out."""
+    """One packet gets no reply; the next reply is one step from the last one sent."""
     raised = [False]
     encode = EgmCodec.encode
 

@@ -1,4 +1,4 @@
-"""A disk that is full, read-only or slow, and memory that is short, while the arm moves; in virtual time."""
+"""A full, read-only or slow disk, and low memory, while the arm moves; in virtual time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PATIENCE = 20.0  # s of the real clock; only a test that fails waits so long
 
 
 class Disk:
-    """A file that fails, or stands still, when told; one that fails takes half of what it is given first."""
+    """A file that fails or hangs on demand; a failing file first writes half of the data."""
 
     def __init__(self, file: Any) -> None:
         self.file = file
@@ -77,7 +77,7 @@ def read_unfinished(outcome: Outcome) -> Table:
 
 
 def log_ends(outcome: Outcome, bench: Bench, cell: Cell) -> None:
-    """The arm did not notice; the log has every row up to where it ends, and says that it was not finished."""
+    """Check that the arm was not affected, and that the log is complete up to its end and marked as unfinished."""
     assert outcome.failure is None
     assert cell.is_told(outcome.told), outcome.told
     within_limits(bench)
@@ -104,8 +104,8 @@ def test_the_log_ends_and_the_arm_goes_on(bench: Bench, cell: Cell, disks: list[
     log_ends(outcome, bench, cell)
     if cell.state == "stopping":
         met_in_motion(bench, AT)
-    assert len(read_unfinished(outcome)) == rows > 50, "the log is whole up to the fault"
-    assert outcome.run.path.stat().st_size == disks[0].size, "of what failed nothing is left"
+    assert len(read_unfinished(outcome)) == rows > 50, "the log is complete up to the fault"
+    assert outcome.run.path.stat().st_size == disks[0].size, "nothing is left of the failed write"
     count = len(bench.sent)
     again = bench.run(Motion(), seconds=0.1)
     within_limits(bench, count)
@@ -114,7 +114,7 @@ def test_the_log_ends_and_the_arm_goes_on(bench: Bench, cell: Cell, disks: list[
 
 @contextmanager
 def files_of_at_most(size: int) -> Iterator[None]:
-    """Let the kernel refuse what goes beyond."""
+    """Make the kernel refuse larger files."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -125,7 +125,7 @@ def files_of_at_most(size: int) -> Iterator[None]:
 
 @shows
 def test_the_kernel_refuses_more(bench: Bench, cell: Cell) -> None:
-    bench.at[0.3] = lambda: bench.written(PATIENCE)  # else all rows may be one write, of which nothing is left
+    bench.at[0.3] = lambda: bench.written(PATIENCE)  # otherwise all rows may be in one write, which fails as a whole
     with files_of_at_most(60_000):
         outcome = bench.run(motion(cell), seconds=1.0)
     log_ends(outcome, bench, cell)
@@ -148,7 +148,7 @@ def test_a_disk_that_stands_still(bench: Bench, cell: Cell, disks: list[Disk]) -
         closing = threading.Thread(target=lambda: bench.closing(PATIENCE) and disks[0].moves.set())
         bench.at[0.4] = closing.start
     else:
-        # The writer works by the clock on the wall, which goes slower here than the robot's.
+        # The writer uses the wall clock, which runs slower here than the robot's.
         bench.at[0.7] = lambda: disks[0].reached.wait(PATIENCE) and disks[0].moves.set()
     outcome = bench.run(motion(cell), seconds=1.0)
     assert disks[0].reached.is_set()
@@ -180,7 +180,7 @@ def test_a_disk_that_stands_still_for_long(
     assert cell.is_told(outcome.told), outcome.told
     within_limits(bench)
     path = outcome.run.path
-    holes = inspect(path).summary["holes"]  # another one where the disk is slow to empty the queue
+    holes = inspect(path).summary["holes"]  # one more if the disk is slow to empty the queue
     table = read(path)
     kept = np.ones(len(bench.sent), dtype=bool)
     for first, last, _ in holes:

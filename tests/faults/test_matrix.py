@@ -1,4 +1,4 @@
-"""The matrix: every cell has a test that is there, and the page shows them all."""
+"""The matrix: every cell has an existing test, and the page shows all cells."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_every_test_on_the_page_is_there(page: dict[str, list[tuple[str, ...]]])
 
 
 def test_a_test_elsewhere_looks_for_the_words_of_its_row(page: dict[str, list[tuple[str, ...]]]) -> None:
-    """As far as its file tells: the words between the gaps are in it."""
+    """Checked by text search: the words between the gaps occur in the test's file."""
     for rows in page.values():
         for *_, told, _, node in rows:
             path = node.partition("::")[0]

@@ -1,6 +1,6 @@
-"""A network that fails, and a robot or clocks that cannot be right; in virtual time.
+"""Network failures, and implausible robot data or clocks; in virtual time.
 
-Only what meets a moving arm is in the default tests: the other states are slow tests.
+The default tests cover only faults of a moving arm; the other states are slow tests.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .bench import PATIENCE, PERIOD, Bad, Bench, Motion, Outcome, Station, judge
 from .matrix import Cell, shows
 
 LASTS = 0.3  # s, of a fault
-LASTS_RARE = 1.0  # s, of one that would not come in both directions else
+LASTS_RARE = 1.0  # s, of a rare fault, so that it occurs in both directions
 BEGINS = {"waiting": 0.0, "holding": 0.3, "running": 0.3, "stopping": 0.3}
 AFTER = 0.3  # s of motion when it is over
 OTHER = ("127.0.0.1", 50002)
 
 
 def begin(cell: Cell, lasts: float = LASTS) -> tuple[float, Motion]:
-    """When the fault begins, and what the controller does so that it meets that state."""
+    """Return the time at which the fault begins, and a motion that is in the cell's state then."""
     at = BEGINS[cell.state]
     return at, {
         "waiting": Motion(),
@@ -37,7 +37,7 @@ def begin(cell: Cell, lasts: float = LASTS) -> tuple[float, Motion]:
 
 
 def goes_on(bench: Bench, cell: Cell, outcome: Outcome, over: float) -> None:
-    """It ended as it would have without the fault; where it was to stop, another run moves the arm again."""
+    """The run ended as without the fault; if the arm was stopping, another run moves it again."""
     assert outcome.failure is None
     judge(bench, outcome)
     assert cell.is_told(outcome.told), outcome.told
@@ -50,7 +50,7 @@ def goes_on(bench: Bench, cell: Cell, outcome: Outcome, over: float) -> None:
     moved = [reply.q for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t > over]
     assert np.ptp(moved, axis=0).min() > 0.01, "it moves again"
     assert not bench.heard()[-1].qd.any(), "and comes to rest"
-    assert bench.stations[0].controller.statistics.last_age == 1, "what acts is one cycle old"
+    assert bench.stations[0].controller.statistics.last_age == 1, "the active reference is one cycle old"
 
 
 @shows
@@ -97,7 +97,7 @@ def test_nothing_more_comes(bench: Bench, cell: Cell) -> None:
 @shows
 def test_another_port(bench: Bench, cell: Cell) -> None:
     at, motion = begin(cell)
-    at = at or 2.5 * PERIOD  # the first packets of all
+    at = at or 2.5 * PERIOD  # the very first packets
     old = bench.stations[0]
 
     def change() -> None:
@@ -174,7 +174,7 @@ def without_states(message: Any, _: Any) -> None:
 
 
 def hurried(message: Any, first: Any) -> None:
-    """Six times as fast as time."""
+    """Make the robot clock run six times too fast."""
     now, begun = message.feedBack.time, first.feedBack.time
     ns = 6 * (now.sec * 10**6 + now.usec) - 5 * (begun.sec * 10**6 + begun.usec)
     now.sec, now.usec = divmod(ns, 10**6)
@@ -271,7 +271,7 @@ def test_a_clock_that_is_set(bench: Bench, make_bench: Callable[[], Bench], cell
 
 @shows
 def test_a_bridge_that_stands_still(bench: Bench, cell: Cell) -> None:
-    """As by SIGSTOP, a computer that was suspended, or a disk from which memory comes back."""
+    """As after SIGSTOP, a suspended computer, or memory swapped to disk."""
     bench.at[BEGINS[cell.state]] = lambda: bench.pass_time(cell.given, guarded=False)
     outcome = bench.run(motion_until(cell), seconds=1.0)
     assert outcome.failure is None

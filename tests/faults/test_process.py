@@ -1,4 +1,4 @@
-"""Processes that are killed, and memory that runs out: real processes, in real time."""
+"""Killed processes and exhausted memory: real processes, in real time."""
 
 from __future__ import annotations
 
@@ -93,10 +93,10 @@ def test_a_bridge_is_killed(cell: Cell, tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="not finished"):
         table = log.read(path)
     is_whole(table)
-    assert table["session_t"][-1] > 0.2, "all rows are there that came before the writer's last ten writes"
+    assert table["session_t"][-1] > 0.2, "all rows from before the writer's last ten writes are present"
 
 
-SHOWN = 125  # cycles, half a second of the robot's
+SHOWN = 125  # cycles, half a second of robot time
 READER = """
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import Subscribe
@@ -152,7 +152,7 @@ def test_a_view_is_killed(cell: Cell, tmp_path: Path, monkeypatch: pytest.Monkey
         got, of = map(int, line(reader.stdout).split())
     assert got == of > 2 * SHOWN, "another client lost rows"
     served = run.statistics["servers"]["local"]
-    assert served["lost"] == 0, "the loop could not hand on a row"
+    assert served["lost"] == 0, "the loop could not pass on a row"
     assert sum(rows > 5 for rows, _ in served["clients"].values()) == 3, "both views and the reader saw the run"
     assert not any(dropped for _, dropped in served["clients"].values())
     is_whole(run.table)
@@ -199,7 +199,7 @@ EXTRA = 'extra = {"wide": Column((20_000,), "1")}'
 
 
 @shows
-@pytest.mark.skipif(sys.platform != "linux", reason="other kernels do not bound the address space of a process")
+@pytest.mark.skipif(sys.platform != "linux", reason="other kernels do not limit the address space of a process")
 def test_no_memory_is_left(cell: Cell, tmp_path: Path) -> None:
     port = free_port()
     robot, file = SimulatedRobot(tmp_path, port), tmp_path / "controller.py"

@@ -27,7 +27,7 @@ def folder(short_arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def early() -> Iterator[None]:
-    """A draft of the first two of these, so that the others are new to it."""
+    """Use only the first two logs for the draft, so that the others are new to it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("armlab.fleet.identification.DRAFT_SECONDS", 15.0)
         yield

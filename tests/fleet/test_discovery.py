@@ -1,4 +1,4 @@
-"""Routers, and the robots that are found through them."""
+"""Routers, and the robots found through them."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def plain(early: None, folder: Path, short_arm, sums: Path) -> fleet.Identified:
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Grows by one for each log that is reduced to sums."""
+    """A list that grows by one for each log reduced to sums."""
     count, make = [], identification.log_sums
     monkeypatch.setattr(identification, "log_sums", lambda *given: count.append(1) or make(*given))
     return count
@@ -65,7 +65,7 @@ def test_the_same_bits_in_processes_of_which_one_is_killed(folder: Path, short_a
 
 
 def test_it_is_the_fit_of_all_logs_at_once(folder: Path, short_arm, plain: fleet.Identified) -> None:
-    """The draft of a third of them has chosen its own terms of friction; the base parameters are the same."""
+    """The draft from a third of the logs has chosen its own friction terms; the base parameters are the same."""
     tables = [log.read(path) for path in sorted(folder.iterdir())]
     whole = identify.fit_dynamics(tables, short_arm.robot)
     one, other = short_arm.of_base(plain.fit), short_arm.of_base(whole)
@@ -91,7 +91,7 @@ def test_logs_that_cannot_be_used_are_named_with_their_sentence(
     (logs / "torn.parquet").write_bytes(b"PAR1 and nothing else")
     log.write(short_arm.log(9, 1000).rows(slice(None, None, 2)), logs / "log0_slow.parquet")
     wrong = {"torn": "torn.parquet", "log0_slow": "sampling rate as in the first logs, 100 Hz, got 50 Hz"}
-    for name in ("log0_copy", "z_copy"):  # among the first, and behind them
+    for name in ("log0_copy", "z_copy"):  # among the first logs, and after them
         shutil.copy(logs / "log0.parquet", logs / f"{name}.parquet")
         wrong[name] = f"it repeats the rows of {logs / 'log0.parquet'}"
     for name, (table, sentence) in spoilt(short_arm).items():

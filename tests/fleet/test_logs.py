@@ -106,7 +106,7 @@ def test_a_recording_needs_its_robot(folder: Path, tmp_path: Path, short_arm) ->
 
 @pytest.fixture(scope="module")
 def recordings(truth, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log that somebody pushes in, one that nobody does, and one without torque."""
+    """A log with a push, a log without one, and a log without torque."""
     folder = tmp_path_factory.mktemp("recordings")
     motion = identify.design_excitation(truth.robot, seconds=10, f0=0.1, speed=0.3, seed=5)
 

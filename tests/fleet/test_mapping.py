@@ -28,7 +28,7 @@ BAD = partial(Path.read_bytes, Path("/nowhere/at/all"))
 
 
 class Shuffled(Executor):
-    """Ends jobs in another order than they came in, four at a time."""
+    """Completes jobs in a different order than submitted, four at a time."""
 
     _max_workers = 2
 
@@ -51,11 +51,11 @@ class Shuffled(Executor):
 
 
 class KilledWorker(Exception):
-    """What Dask says of a job that was at workers which died, by this name."""
+    """Dask's exception for a job whose workers died; recognised by this name."""
 
 
 class Blaming(Executor):
-    """Blames all jobs of the first pass but one, then those that are deadly."""
+    """Blames all but one job of the first pass for a crash, then only the deadly ones."""
 
     def __init__(self, jobs: int, deadly: set[int]) -> None:
         self._left, self._deadly = jobs, deadly
@@ -177,7 +177,7 @@ def test_one_process_is_this_one_and_what_cannot_be_a_worker_is_refused() -> Non
 
 
 @pytest.mark.slow  # 20 s: Dask starts its workers as new processes
-@pytest.mark.filterwarnings("ignore")  # of Dask, of the worker that it lost
+@pytest.mark.filterwarnings("ignore")  # Dask warns about the lost worker
 def test_a_cluster_that_loses_a_worker_beside_a_slow_one_gives_the_same_bits(
     folder: Path, short_arm, early: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,7 +203,7 @@ def test_a_cluster_that_loses_a_worker_beside_a_slow_one_gives_the_same_bits(
 
 @contextmanager
 def slowed(process: int) -> Iterator[None]:
-    """Let a process run a tenth of the time."""
+    """Let a process run only a tenth of the time."""
     over = threading.Event()
 
     def drag() -> None:

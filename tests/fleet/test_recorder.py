@@ -1,4 +1,4 @@
-"""Rows of many robots in files: holes, restarts, damage, full disks."""
+"""Recording rows of many robots: gaps, restarts, damage, full disks."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Put = Callable[[str, bytes], None]
 
 @pytest.fixture
 def lab(tmp_path: Path, told: list[str]) -> Iterator[tuple[FleetRecorder, Put]]:
-    """A recorder behind a router, and what sends a robot's row to it; a test may close the recorder."""
+    """A recorder behind a router, and a function that sends it a robot's row; a test may close the recorder."""
     with (
         Router(port=(port := free_port())),
         FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet,
@@ -132,8 +132,8 @@ def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: 
     for name, count in zip(NAMES, published, strict=True):
         assert fleet.robots[f"lab1/{name}"].lost == 0
         ticks = check_ticks(tmp_path / f"lab1-{name}.mcap")
-        assert ticks[-1] == count - 1  # to the very last
-        assert ticks[0] < 2 * PAST  # from about when the recorder heard of it
+        assert ticks[-1] == count - 1  # up to the very last row
+        assert ticks[0] < 2 * PAST  # from about when the recorder found it
         q = log.read(tmp_path / f"lab1-{name}.mcap")["q"]
         np.testing.assert_allclose(q[-1] - q[0], 1e-6 * (ticks[-1] - ticks[0]), rtol=0.0, atol=1e-12)
 
@@ -183,7 +183,7 @@ def test_a_robot_that_dies_and_comes_again_with_other_rows(processes: Callable[.
 
 
 class Bridge:
-    """Makes rows and says what is in them."""
+    """Makes rows and describes their layout."""
 
     def __init__(self, robot: Robot, run: str = "first") -> None:
         self.schema, self.robot, self.run = RowSchema.of([robot]), robot, run
@@ -212,7 +212,7 @@ def record(robot: Robot, tmp_path: Path, told: list[str]) -> RobotRecord:
 
 
 def fed(record: RobotRecord, bridge: Bridge, ticks: list[tuple[int, int]]) -> None:
-    """Give rows as the recorder does: written, described when that is wanted, written again."""
+    """Pass rows as the recorder does: write, describe on request, write again."""
     for tick, stamp in ticks:
         record.take(bridge.row(tick, stamp))
     for _ in range(4):
@@ -235,8 +235,8 @@ def test_holes_are_named_and_counted(record: RobotRecord, robot: Robot, told: li
 @pytest.mark.parametrize(
     ("run", "first", "is_doubted", "counts"),
     [
-        ("first", 0, False, (13, 0, [10, 3])),  # ticks go back: started again
-        ("first", 20, True, (13, 10, [13])),  # the same run comes again, after a hole
+        ("first", 0, False, (13, 0, [10, 3])),  # ticks go back: a restart
+        ("first", 20, True, (13, 10, [13])),  # the same run returns after a gap
         *(("second", first, True, (13, 0, [10, 3])) for first in (0, 10, 1_000_000)),  # restarted unseen
     ],
 )
@@ -354,11 +354,11 @@ def test_a_silent_robot_s_file_is_finished(record: RobotRecord, robot: Robot, mo
     assert "2 rows were dropped while recording: ticks 1 to 2" in log.read(record.paths[1]).notes
 
 
-NOT_SENT = {"wake_ns", "qd_source", "tau_source"}  # which rows of the bridge do not have
+NOT_SENT = {"wake_ns", "qd_source", "tau_source"}  # columns that the bridge's rows lack
 
 
 def made_up(robot: Robot, rng: np.random.Generator) -> tuple[State, Command, Tick]:
-    """Every number is random, so that a column in the wrong place shows; the flags change."""
+    """Return a row of random numbers, so that a misplaced column shows; the flags vary."""
     n = robot.n
     q, qd, tau, planned, sent = rng.normal(size=(5, n))
     state = State(

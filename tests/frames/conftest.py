@@ -1,4 +1,4 @@
-"""Clouds of known truth, and the files of a tracker."""
+"""Point clouds with known ground truth, and tracker files."""
 
 from __future__ import annotations
 

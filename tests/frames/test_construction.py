@@ -29,7 +29,7 @@ RAY = replace(Line.of([1.0, 0.4, 0.3], [0.1, -0.2, 0.5]), cov=LINE_COV)
 
 
 def test_plane_of_a_normal_that_is_not_unit() -> None:
-    """Files of trackers have six decimals: the length is made 1, not taken for 1."""
+    """Tracker files have six decimals, so the length is normalised to 1, not assumed to be 1."""
     plane = Plane.of([0.999918, 0.010683, -0.007026], [-0.44, 0.23, -2.6])
     assert np.linalg.norm(plane.n) == pytest.approx(1.0, abs=1e-15)
     assert plane.d == pytest.approx(plane.n @ [-0.44, 0.23, -2.6], abs=1e-15)
@@ -228,7 +228,7 @@ def test_errors_go_through(make: Callable, items: tuple) -> None:
 
     def error(found: Line) -> np.ndarray:
         away = found.centroid - plain.centroid
-        away -= found.v * (plain.v @ away) / (plain.v @ found.v)  # where it passes the old centroid
+        away -= found.v * (plain.v @ away) / (plain.v @ found.v)  # where the line passes the old centroid
         return np.concatenate([plain.axes @ np.cross(plain.v, found.v), plain.axes @ away])
 
     np.testing.assert_allclose(plain.cov, propagated(make, items, error), rtol=1e-6, atol=1e-15)
@@ -242,7 +242,7 @@ def test_what_is_exact_stays_exact() -> None:
 
 
 def test_products_check_their_inner_names() -> None:
-    """It multiplied the frame of a camera in a base by that of a tool in a flange without a word."""
+    """The ancestor silently multiplied the frame of a camera in a base by that of a tool in a flange."""
     graph = Graph()
     graph.add("base", "cam", np.eye(4))
     graph.add("flange", "tool", np.eye(4))
@@ -254,7 +254,7 @@ def test_products_check_their_inner_names() -> None:
 
 
 def test_perpendicular_and_divisions_have_counterparts_that_run() -> None:
-    """Its ⊥ used a name that did not exist; \\ and / called a constructor that was not there."""
+    """The ancestor's ⊥ used a name that did not exist; \\ and / called a constructor that was not there."""
     up, front = Plane.of([0, 0, 1], [0, 0, 0]), Plane.of([1, 0, 0], [0, 0, 0])
     assert build(z=up, x=front, origin=[0, 0, 0]).deviation == pytest.approx(0.0, abs=1e-15)
     assert abs(intersect(up, front).v[1]) == 1.0
@@ -265,7 +265,7 @@ def test_perpendicular_and_divisions_have_counterparts_that_run() -> None:
 
 
 def test_directions_are_unit_after_every_step() -> None:
-    """Its normalize! changed a copy."""
+    """The ancestor's normalize! changed a copy."""
     T_a_b = se3.from_rp(so3.exp([1.0, -0.4, 0.2]), [3, 2, 1])
     plane, line = Plane.of([3, 4, 5], [1, 1, 1]), Line.of([3, 4, 5], [1, 1, 1])
     for _ in range(100):
@@ -276,7 +276,7 @@ def test_directions_are_unit_after_every_step() -> None:
 
 @pytest.mark.parametrize("away", [1.0, 1e3, 1e6])
 def test_good_data_far_from_the_origin_pass(away: float) -> None:
-    """It asserted equality to 1e-14, which no rounding at a hundred metres keeps."""
+    """The ancestor asserted equality to 1e-14, which rounding at a hundred metres does not allow."""
     rng = np.random.default_rng(1)
     p = away * np.array([1.0, -2.0, 3.0]) + rng.uniform(-1, 1, (20, 3)) * [1.0, 0.7, 1e-4]
     plane = fit_plane(p).value

@@ -28,14 +28,14 @@ def sheet(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
 
 
 def rod(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
-    """Points of the line through (0, 1, 2) along x, in its order."""
+    """Points on the line through (0, 1, 2) along x, in order."""
     rng = np.random.default_rng(seed)
     p = np.column_stack([np.sort(rng.uniform(-0.15, 0.15, n)), np.ones(n), np.full(n, 2.0)])
     return p + sigma * rng.standard_normal((n, 3))
 
 
 def ring(rng: np.random.Generator, n: int, arc: float = 2 * np.pi, sigma: float = SIGMA) -> np.ndarray:
-    """Points of a circle of radius 0.2 about (0, 0, 1), normal z."""
+    """Points on a circle of radius 0.2 about (0, 0, 1), normal z."""
     turn = rng.uniform(0.0, arc, n)
     p = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.ones(n)])
     return p + sigma * rng.standard_normal((n, 3))
@@ -187,7 +187,7 @@ def scaled(data: dict) -> dict:
 
 
 def uneven(seed: int, n: int = 20) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, errors, and covariances as a tracker's: worse along its ray."""
+    """Positions, errors and covariances like a tracker's, which is less accurate along its ray."""
     rng = np.random.default_rng([8, seed])
     root = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0] * np.array([2e-4, 5e-5, 2e-5])
     places, errors = rng.uniform(-0.15, 0.15, (n, 3)), (root @ rng.standard_normal((n, 3, 1)))[..., 0]
@@ -213,7 +213,7 @@ ABOVE = np.array([0.0, 0.0, 1.0])
     (fit_sphere, sphere_error, (ABOVE, 0.2), {}, 0.9),
 ], ids=["plane", "line", "sphere"])  # fmt: skip
 def test_points_of_their_own_covariance(fit, error, truth, hint: dict, better: float) -> None:
-    """NEES over the dimension is 1, and the error smaller than with one deviation for all."""
+    """NEES over the dimension is 1, and the error is smaller than with one standard deviation for all points."""
     nees, weighted, plain = [], [], []
     p = np.zeros((0, 3))
     for seed in range(30):
@@ -246,7 +246,7 @@ def test_outliers_among_points_of_their_own_covariance() -> None:
 
 
 def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
-    """Points five metres from the origin: 2 mm above it is within what their tilt leaves open."""
+    """Points five metres from the origin: a height of 2 mm is within the uncertainty of their tilt."""
     rng = np.random.default_rng(1)
     p = np.column_stack([rng.uniform(5.0, 5.2, 20), rng.uniform(-0.1, 0.1, 20), np.full(20, 0.002)])
     with pytest.raises(NotExcited, match="side"):
@@ -257,7 +257,7 @@ def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
 
 @pytest.mark.parametrize(("fit", "draw", "n"), [(fit_line, rod, 4), (fit_plane, sheet, 5)])
 def test_noise_of_few_points_is_not_flattered(fit: Callable[..., Fit], draw: Callable[..., np.ndarray], n: int) -> None:
-    """The mean of its square is the variance: degrees of freedom that the fit took do not count."""
+    """The mean of sigma^2 is the variance: degrees of freedom used by the fit are subtracted."""
     squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(150)]
     assert np.mean(squares) == pytest.approx(SIGMA**2, rel=0.15)
 
@@ -287,7 +287,7 @@ def test_outliers_are_flagged_by_index() -> None:
 
 
 def ball(rng: np.random.Generator, n: int, cap: float = np.pi, sigma: float = SIGMA) -> np.ndarray:
-    """Points of a sphere of radius 0.2 about (0, 0, 1), not further than `cap` from its top."""
+    """Points on a sphere of radius 0.2 about (0, 0, 1), within an angle `cap` of its top."""
     height, turn = rng.uniform(np.cos(cap), 1.0, n), rng.uniform(0.0, 2 * np.pi, n)
     flat = np.sqrt(1 - height**2)
     p = 0.2 * np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height]) + [0, 0, 1]

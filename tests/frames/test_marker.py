@@ -79,7 +79,7 @@ def test_points_in_a_line_give_no_pose() -> None:
     line = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.1, 0.1, 0.0]])
     _, p = draw(3, marker=line)
     seen = np.ones((30, 4), dtype=bool)
-    seen[5, 3] = False  # what is left is a line
+    seen[5, 3] = False  # the remaining points are collinear
     assert np.flatnonzero(~marker_pose(p, line, visible=seen).valid).tolist() == [5]
     with pytest.raises(NotExcited, match="non-collinear") as caught:
         marker_pose(p[:, :3], line[:3])
@@ -96,7 +96,7 @@ def test_a_mirrored_marker_never_gives_a_reflection() -> None:
 
 
 def test_the_ancestors_leds_to_tf_does_not_return() -> None:
-    """It took axes from differences of points, and left frames out: no least squares, and the pairing was lost."""
+    """The ancestor took axes from point differences, not least squares, and lost the pairing by skipping frames."""
     T, p = draw(5, 400, sigma=SIGMA)
     p[11, 2] += [0.003, 0.0, 0.0]
     found = marker_pose(p, MARKER)

@@ -1,4 +1,4 @@
-"""Pose graphs: ways, loops, and the most likely poses."""
+"""Pose graphs: paths, loops, and the most likely poses."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def loop_of(rng: np.random.Generator, scale: float = 1.0) -> list[Edge]:
 
 
 def test_closure_errors_are_as_large_as_the_covariances_say() -> None:
-    """The mean of chi2 is 6, its 99.9 % are passed once in a thousand."""
+    """The mean of chi2 is 6; its 99.9 % quantile is exceeded once in a thousand."""
     found = [check_loops(loop_of(np.random.default_rng(seed))) for seed in range(150)]
     assert isinstance(found[0], LoopCheck)
     assert isinstance(found[0].loops[0], Loop)

@@ -1,4 +1,5 @@
-"""Small files that claim to be huge are refused in seconds, before there is memory for them: measured in a process."""
+"""Small files that claim to be huge are refused within seconds, before memory is allocated for them; measured in a
+process."""
 
 from __future__ import annotations
 
@@ -50,7 +51,7 @@ def zstd_of_zeros(path: Path) -> None:
 
 
 def zstd_in_many_chunks(path: Path) -> None:
-    """Chunks that are each within the bound, but not together."""
+    """Chunks that are within the limit one by one, but not in total."""
     import zstandard
 
     packed = zstandard.compress(bytes(1 << 23))
@@ -67,12 +68,12 @@ def zstd_in_many_chunks(path: Path) -> None:
 
 
 def gzip_of_rows(path: Path) -> None:
-    """1.9 MB with 1.9 GB of short rows."""
+    """1.9 MB that unpack to 1.9 GB of short rows."""
     path.write_bytes(gzip.compress(b"t,q1\n") + gzip.compress(b"0,0\n" * (1 << 22), 9) * 115)
 
 
 def gzip_with_a_word(path: Path) -> None:
-    """Numbers to the last line: they are read once more as words."""
+    """Numbers, but a word in the last line, so that the column is read again as text."""
     path.write_bytes(gzip.compress(b"t,x\n" + b"1,1\n" * 260_000 + b"1,a\n", 9))
 
 

@@ -1,4 +1,4 @@
-"""Inputs of the corpus, and the same with one value replaced by what no program writes."""
+"""Corpus inputs, also with one value replaced by something no program writes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ INPUTS = sorted(path for path in CORPUS.rglob("*") if path.is_file())
 
 @pytest.mark.parametrize("path", INPUTS, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_input(path: Path) -> None:
-    """What a target promises of this input holds; see its function."""
+    """The properties that a target checks hold for this input; see its function."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         TARGETS[path.parent.name](path.read_bytes())
@@ -32,7 +32,7 @@ def test_every_target_has_inputs_and_they_are_small() -> None:
     assert sum(path.stat().st_size for path in INPUTS) < 2**19
 
 
-MOST = 15  # places of an input
+MOST = 15  # places per input
 PLACE = re.compile(
     rb"(?<![\w.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w.])|\"[^\"\n]{0,60}\"|'[^'\n]{0,60}'|\btrue\b|\bfalse\b"
 )
@@ -53,7 +53,7 @@ def run(path: Path, places: list[re.Match[bytes]], values: list[bytes]) -> None:
         warnings.simplefilter("ignore")
         for place in places:
             for value in values:
-                fitting = value.ljust(len(place[0]))  # of the same length, where it can: what is around it stays true
+                fitting = value.ljust(len(place[0]))  # keeps the length if possible, so that the rest stays valid
                 made = data[: place.start()] + fitting + data[place.end() :]
                 try:
                     TARGETS[path.parent.name](made)
@@ -64,7 +64,7 @@ def run(path: Path, places: list[re.Match[bytes]], values: list[bytes]) -> None:
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_one_place(path: Path) -> None:
-    """A third of the values, each at some place; together the inputs see all."""
+    """A third of the values, each at a random place; together the inputs cover all."""
     places = list(PLACE.finditer(path.read_bytes()))
     chosen = random.Random(path.name)
     for value in chosen.sample(VALUES, len(VALUES) // 3):

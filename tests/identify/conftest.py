@@ -1,4 +1,4 @@
-"""A fit of the short arm that many tests look at."""
+"""A fit of the short arm used by many tests."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from armlab.models import TorqueModel
 
 @pytest.fixture(scope="session")
 def short_fit(short_arm) -> Fit[TorqueModel]:
-    """Of `short_arm.log(0, 3000)`, 30 s of free motion."""
+    """The fit to `short_arm.log(0, 3000)`, 30 s of free motion."""
     return fit_dynamics(short_arm.log(0, 3000), short_arm.robot)

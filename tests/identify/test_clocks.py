@@ -1,4 +1,4 @@
-"""Clocks of logs: jitter, lost rows, delays. Torques of another unit, sign or size. Joints that rest."""
+"""Clocks of logs: jitter, lost rows, delays. Torques with a wrong unit, sign or scale. Joints that rest."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from tests.conftest import DELTA, NOISE
 
 
 def jittered(table: Table, share: float, seed: int = 0) -> Table:
-    """The log with stamps off by a share of the period."""
+    """The log with timestamps jittered by a share of the period."""
     rng = np.random.default_rng(seed)
     period = float(np.median(np.diff(table.t)))
     return Table(table.t + share * period * rng.standard_normal(len(table)).clip(-3, 3), dict(table.values))
 
 
 def thinned(table: Table, share: float, seed: int = 0) -> Table:
-    """The log without a share of its rows."""
+    """The log with a share of its rows removed."""
     return table.rows(np.random.default_rng(seed).uniform(size=len(table)) >= share)
 
 
 def late(table: Table, seconds: float, name: str = "tau") -> Table:
-    """The log with a column of some seconds before."""
+    """The log with one column delayed by some seconds."""
     return table.with_column(name, np.stack([np.interp(table.t - seconds, table.t, x) for x in table[name].T], axis=1))
 
 
 def scaled(table: Table, **factors: float) -> Table:
-    """The log with torques of joints times factors: j2=0.5 halves that of the second."""
+    """The log with joint torques scaled by factors: j2=0.5 halves that of the second joint."""
     own = np.ones(table["tau"].shape[1])
     for joint, factor in factors.items():
         own[int(joint[1:]) - 1] = factor
@@ -51,18 +51,18 @@ def scaled(table: Table, **factors: float) -> Table:
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("stalls", [False, True], ids=["jitter", "stalls"])
 def test_rows_are_numbered_as_they_were_sampled(seed: int, stalls: bool) -> None:
-    """A tenth of the period off and every twentieth row lost; or rows that wait for a stalled network, and are late."""
+    """Timestamps off by a tenth of the period and every twentieth row lost, or rows delayed by a stalled network."""
     rng = np.random.default_rng(seed)
     n, period = 8000, 0.001
     kept = np.flatnonzero(rng.uniform(size=n) > (0.002 if stalls else 0.05))
     even = period * (1.0 + 2e-5) * kept + 12.0
     t = even + 0.1 * period * rng.uniform(-1, 1, len(kept))
-    if stalls:  # up to 9 ms; what waited arrives 0.3 ms apart
+    if stalls:  # up to 9 ms; queued rows arrive 0.3 ms apart
         for k in rng.choice(len(kept) - 50, 40, replace=False):
             t[k:] = np.maximum(t[k:], t[k] + rng.uniform(0.003, 0.009) + 0.3 * period * np.arange(len(t) - k))
         t = np.maximum.accumulate(t + 1e-9 * np.arange(len(t)))
     clock = Clock.of(t)
-    wrong = clock.index != kept - kept[0]  # a row that is lost in a stall may be any of it
+    wrong = clock.index != kept - kept[0]  # which row was lost in a stall is unknown
     assert wrong.mean() < (0.003 if stalls else 1e-9)
     assert clock.index[-1] == kept[-1] - kept[0]
     assert clock.retimed
@@ -78,7 +78,8 @@ def test_an_even_clock_stays_as_it_is(excited) -> None:
 
 
 def test_rows_that_were_sampled_unevenly_keep_their_stamps() -> None:
-    """Positions follow the stamps: the rows were late, not the stamps. Evenly sampled, they follow the even clock."""
+    """Positions that follow the timestamps: the rows were sampled late. Evenly sampled positions follow the even
+    clock."""
     even = np.arange(1000) * 0.01
     stamps = even + 0.002 * np.random.default_rng(0).uniform(-1, 1, 1000)
     for sampled in (stamps, even):
@@ -87,7 +88,7 @@ def test_rows_that_were_sampled_unevenly_keep_their_stamps() -> None:
 
 
 def test_jitter_and_lost_rows_leave_the_record(truth, excited) -> None:
-    """A tenth of the period, every twentieth row: the rest is the record as it was, and lost rows are not counted."""
+    """Jitter of a tenth of the period, every twentieth row lost: other rows are unchanged, lost rows do not count."""
     bad = thinned(jittered(excited, 0.1), 0.05)
     found, clean = prepare(bad, truth.robot), prepare(excited, truth.robot)
     assert len(found.segments) == 1
@@ -141,7 +142,8 @@ def test_a_late_velocity_is_named_and_taken_back(truth, excited) -> None:
 
 
 def test_delays_of_many_logs_lie_within_their_deviations(short_arm) -> None:
-    """Twenty seeds on time: none is named. Twenty that are 50 ms late: all, the truth within two deviations of 95 %."""
+    """Twenty logs on time: no delay is reported. Twenty that are 50 ms late: all are reported, 95 % within two SD of
+    the truth."""
     logs = [short_arm.log(seed, 3000) for seed in range(20)]
     assert not any(prepare(table, short_arm.robot).delays for table in logs)
     found = [prepare(late(table, 0.05), short_arm.robot).delays["tau"] for table in logs]
@@ -165,7 +167,7 @@ def test_a_slow_drift_does_not_hide_a_delay(drift: float) -> None:
 
 
 def test_a_fit_says_how_late_its_torque_was(short_arm, short_fit) -> None:
-    """The model is the one on time; the delay is a doubt, since estimators do not take it back."""
+    """The model is that of the log on time; the delay is reported, since estimators do not compensate for it."""
     fit, p = fit_dynamics(late(short_arm.log(0, 3000), 0.3), short_arm.robot), len(short_fit.value.base_names)
     assert np.all(np.abs(fit.value.base_values - short_fit.value.base_values) < 0.3 * short_fit.sd[:p])
     np.testing.assert_allclose(fit.value.quality.rms_cv, short_fit.value.quality.rms_cv, rtol=0.1)
@@ -176,7 +178,7 @@ def test_a_fit_says_how_late_its_torque_was(short_arm, short_fit) -> None:
 
 @pytest.mark.slow  # 15 s
 def test_a_friction_run_of_the_product_is_fitted(truth, model) -> None:
-    """One joint at ten speeds, the others at rest: its friction is judged anew, theirs stays."""
+    """One joint at ten speeds, the others at rest: its friction is fitted again, theirs stays."""
     found = fit_friction(truth.log(friction_run(truth.robot, 0), seed=2), model)
     assert 0.9 < found.value.quality.coverage[0] < 1.0
     assert found.value.quality.rms_cv[0] < 0.1 * truth.friction.coulomb_pos[0]
@@ -189,7 +191,7 @@ def test_a_friction_run_of_the_product_is_fitted(truth, model) -> None:
 
 @pytest.fixture(scope="module")
 def massive(truth):
-    """The arm with masses in its description, up to a fifth wrong."""
+    """The arm with masses in its description that are off by up to a fifth."""
     return replace(truth.robot, inertias=np.linspace(0.9, 1.2, 7)[:, None] * truth.links)
 
 
@@ -219,7 +221,7 @@ def test_torques_that_cannot_be_are_refused_by_joint(massive, excited, factors: 
 
 @pytest.mark.parametrize("joint", [1, 2, 3, 4, 5, 6, 7])
 def test_half_a_torque_is_doubted_by_joint(massive, excited, joint: int) -> None:
-    """Of masses that are right within a fifth, by number where that is not a half."""
+    """With masses that are right within a fifth; the message gives the ratio unless it is a half."""
     (said,) = doubts(scaled(excited, **{f"j{joint}": 0.5}), massive)
     assert said.startswith((f"joint {joint} reads half", f"joint {joint} reads 0.4"))
 
@@ -227,7 +229,7 @@ def test_half_a_torque_is_doubted_by_joint(massive, excited, joint: int) -> None
 @pytest.mark.slow  # 5 s
 @pytest.mark.parametrize(("factor", "words"), [(0.5, "joint 4 reads half"), (0.08, "joint 4 reads 0.08"), (0.9, "")])
 def test_joints_without_masses_are_compared_with_each_other(truth, excited, factor: float, words: str) -> None:
-    """They carry the same links: a gain that leaves its prior is fitted without one."""
+    """The joints carry the same links; a gain far from its prior is fitted again without it."""
     data = prepare(scaled(excited, j4=factor), truth.robot)
     design = calibrated(Design.build(data, truth.robot, base_parameters(truth.robot)), "irls")[0]
     found = check_gains(design, "irls", force=True)
@@ -249,7 +251,7 @@ def test_a_forced_fit_carries_its_doubts(short_arm) -> None:
 
 
 def test_presliding_is_judged_without_the_torque_covariance_of_the_model(truth, excited, model) -> None:
-    """A model that leaves much, as of friction over position, has slid as far as one that leaves little."""
+    """A large residual, such as friction over position, does not change where joints are found to slide."""
     data, rows = prepare(excited, truth.robot), np.ones(len(excited), dtype=bool)
     wide = replace(model, covariance=replace(model.covariance, alpha2=1e6 * model.covariance.alpha2))
     smooth = replace(model, friction=replace(model.friction, **dict.fromkeys(
@@ -261,7 +263,7 @@ def test_presliding_is_judged_without_the_torque_covariance_of_the_model(truth, 
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
 def test_friction_over_position_is_identified(short_arm, share: float) -> None:
-    """Of the Coulomb friction of joint 1: the residual comes down to 1.3 times the noise of the torque at most."""
+    """A share of the Coulomb friction of joint 1: the residual falls to at most 1.3 times the torque noise."""
     table = short_arm.log(0, 3000)
     z = presliding(table["q"], DELTA, np.zeros(2))
     tau = table["tau"] + np.array([2.0, 0.0]) * share * np.sin(2.5 * table["q"]) * z
@@ -284,7 +286,7 @@ def of_rest(fit: Fit[TorqueModel], joint: int) -> tuple[np.ndarray, ...]:
 
 
 def test_joints_that_rest_are_held_by_the_prior_and_named(short_arm, short_fit) -> None:
-    """Friction, figures and ranges of joint 2 are the prior's; its parameters stay in their place."""
+    """Friction, quality figures and ranges of joint 2 come from the prior; its parameters keep their places."""
     table = short_arm.log(5, 2000, still={1: 0.3})
     fit = fit_dynamics(table, short_arm.robot, prior=short_fit)
     assert "at rest, with friction from the prior: joint 2" in fit.report()

@@ -28,8 +28,7 @@ from armlab.robots import from_links
 
 
 def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> None:
-    """At 50 Hz ripple with a frequency of twice the gear ratio folds back above 0.7 rad/s or so; the search says for
-    whom."""
+    """At 50 Hz, ripple at twice the gear ratio aliases above about 0.7 rad/s; the search names the joints."""
     t = np.arange(0, 8, 0.02)
     f = np.where(np.arange(7) == 2, 2.0, 0.2)
     q = 0.9 * np.sin(f * t[:, None])
@@ -41,7 +40,7 @@ def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> 
 
 
 class Drives:
-    """Ripple of joint 1 and friction over position of joint 2; four times the samples at four times the rate."""
+    """Ripple of joint 1 and friction over position of joint 2; four times the samples means four times the rate."""
 
     f = np.array([0.4, 0.53])
 
@@ -75,7 +74,7 @@ def drives(short_fit) -> Drives:
 
 
 def assert_honest(found: TorqueModel, before: TorqueModel, unseen: Table) -> None:
-    """Quality and covariance are what another motion shows: neither those of the model before nor those of the fit."""
+    """Quality and covariance match another motion, not the previous model or the fitted data."""
     quality, data = found.quality, prepare(unseen, from_links("arm", found.frames, gravity=found.gravity))
     rows = np.ones(len(unseen), dtype=bool)
     errors, moving = held_out([(found, rows)], data)
@@ -130,7 +129,7 @@ def test_noise_adds_nothing(drives: Drives) -> None:
 
 @pytest.mark.slow  # 2 s
 def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> None:
-    """A tenth of the power of the noise: under friction over position at most 4 of 20 logs told it."""
+    """At a tenth of the noise power, masked by friction over position, the line was found in at most 4 of 20 logs."""
     weak = replace(drives.lines, coefficients=0.12 * np.asarray(drives.lines.coefficients))
     over = replace(drives.map, coefficients=np.asarray(drives.map.coefficients)[::-1])
     truth = replace(drives.base, lines=weak, friction_map=over)
@@ -143,7 +142,7 @@ def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> N
 
 @pytest.mark.slow  # 2 s
 def test_no_ripple_is_made_up_for_speeds_at_which_none_is_seen(drives: Drives) -> None:
-    """Lines are fitted where they are slow; the fast rows of a wrist had a residual of ten times the one before."""
+    """Lines are fitted at low speeds only; the residual of a wrist's fast rows once became ten times larger."""
     t = np.arange(0.0, 40.0, 0.004)
     q = np.array([0.9, 0.5]) * np.sin(9.0 * drives.f * t[:, None]) * (1.0 + np.sin(1.3 * t))[:, None]
     qd = np.gradient(q, t, axis=0)
@@ -152,7 +151,7 @@ def test_no_ripple_is_made_up_for_speeds_at_which_none_is_seen(drives: Drives) -
     table = Table(t, {"q": q, "qd": qd, "tau": tau})
     found = fit_friction(table, drives.base)
     assert found.value.lines is not None
-    fast = 100.0 * np.abs(qd[:, 0]) > 1.2 * 0.5 * np.pi * 250.0  # rows beyond those that tell the line
+    fast = 100.0 * np.abs(qd[:, 0]) > 1.2 * 0.5 * np.pi * 250.0  # rows too fast to determine the line
     assert fast.sum() > 100
     before, after = (model_residuals(table, model).y[:, 0] for model in (drives.base, found.value))
     assert np.std(after[~fast]) < 0.7 * np.std(before[~fast])
@@ -204,7 +203,7 @@ def test_centres_are_mirrored_speeds_of_each_joint() -> None:
 
 
 def test_it_equals_the_ancestors_formula_between_the_centres() -> None:
-    """Scattered centres on both sides of zero, functions of the other sign left out, divided by their sum."""
+    """Scattered centres on both sides of zero, without functions of the opposite sign, normalised by their sum."""
     q, qd = motion(1)
     basis = rbf_centres(q, qd)
     inside = np.flatnonzero(np.abs(qd[:, 0]) > basis.speeds[0, 0])[:500]
@@ -251,7 +250,7 @@ def test_noise_has_no_lines() -> None:
 
 
 def test_lines_that_pass_too_fast_are_refused() -> None:
-    """At a quarter of the sampling rate the line is at 62.5 Hz; four times the speed hides it from half the samples."""
+    """A quarter of the sampling rate is 62.5 Hz; at four times the speed, half of the samples exceed it."""
     q = motion_of_ripple()[1]
     y = 0.2 * np.cos(100.0 * q)
     fast = np.full(len(q), 5.0)
@@ -270,7 +269,7 @@ def test_a_short_range_or_no_gear_has_no_lines() -> None:
 
 
 def test_a_line_is_refined_with_all_its_amplitudes_and_its_error_is_told() -> None:
-    """Amplitudes over speed and direction, a search 0.1 off, 20 logs: errors are as large as stated."""
+    """Amplitudes over speed and direction, search off by 0.1, 20 logs: errors are as large as stated."""
     t, q, qd = motion_of_ripple(20.0)
     speeds, widths = speed_basis(0.0, np.abs(qd).max(), 3)
     amplitudes, block = ripple_amplitudes(qd, np.sign(qd), speeds, widths), (t / 0.5).astype(int)
@@ -301,7 +300,7 @@ def problem(seed: int, N: int = 60, groups: int = 5, size: int = 3) -> tuple[np.
 
 @pytest.mark.parametrize(("seed", "penalty"), [(0, 0.5), (1, 5.0), (2, 30.0)])
 def test_the_objective_is_that_of_an_independent_solver(seed: int, penalty: float) -> None:
-    """Newton's method would stop at the corners of the norms: quadratics above them, ever closer, do not."""
+    """Newton's method would stop at the corners of the norms; ever tighter quadratic upper bounds do not."""
     A, y = problem(seed)
     found = group_lasso(LassoSums.of(A, y), 3, penalty, np.zeros(15))
     threshold = penalty * np.sqrt(3)
@@ -327,7 +326,7 @@ def test_noise_selects_no_group() -> None:
 
 
 def test_few_blocks_leave_no_direction_without_spread() -> None:
-    """32 coefficients and 20 blocks of residuals that remember: the scatter alone would have rank 20."""
+    """32 coefficients and 20 blocks of correlated residuals: the scatter alone would have rank 20."""
     rng = np.random.default_rng(4)
     A, block = np.repeat(rng.standard_normal((200, 32)), 10, axis=0), np.arange(2000) // 100
     A = A + 0.5 * rng.standard_normal(A.shape)
@@ -361,7 +360,7 @@ def warm_log(model: TorqueModel, minutes: float, seed: int) -> Table:
 
 @pytest.fixture(scope="module")
 def cold(model: TorqueModel) -> TorqueModel:
-    """Joints 1 and 2 with viscous friction that counts."""
+    """The model with large viscous friction in joints 1 and 2."""
     viscous = np.array(model.friction.viscous)
     viscous[:2] = 4.0
     return replace(model, friction=replace(model.friction, viscous=viscous))
@@ -369,7 +368,7 @@ def cold(model: TorqueModel) -> TorqueModel:
 
 @pytest.mark.slow  # 20 s
 def test_a_warm_up_of_40_minutes_is_found(cold: TorqueModel) -> None:
-    """Viscous friction falls by 0.4 with 12 min: time within 25 %, held-out error less than half of that without."""
+    """Viscous friction falls by 0.4 over 12 min: time within 25 %, held-out error below half of that without."""
     warm, still = np.zeros(7), np.ones(7)
     of_viscous, time = warm.copy(), warm.copy()
     of_viscous[:2], time[:2] = -0.4, 720.0
@@ -399,7 +398,7 @@ POWER = 2.0
 
 
 def difference(fit: Fit[TorqueModel], truth: np.ndarray) -> np.ndarray:
-    """Errors of a fit whose warmth is 1 at another power than the truth's."""
+    """Errors of a fit whose warmth equals 1 at a different power than in the truth."""
     assert fit.value.warm_up is not None
     ratio = POWER / fit.value.warm_up.power[0]
     return fit.parameters - truth * [1, 1, 1, 1, 1 / ratio, 1 / ratio, 1, ratio]
@@ -407,7 +406,7 @@ def difference(fit: Fit[TorqueModel], truth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow  # 20 s
 def test_the_statistical_contract_of_warm_up(short_fit) -> None:
-    """One joint of two warms up for 20 minutes; four times the samples are those of four times the rate."""
+    """One joint of two warms up for 20 minutes; four times the samples means four times the rate."""
     cold = short_fit.value
     own = np.array([4.0, 2.0, 2.0, 0.3])
     friction = {name: np.array([value, 0.5 * value]) for name, value in zip(OWN, own)}

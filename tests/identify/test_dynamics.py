@@ -41,9 +41,9 @@ def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> Non
     (fit_gravity, True, 16, None),
 ])  # fmt: skip
 def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm, fit, slow, runs, limits) -> None:
-    """The statistical contract on a short arm whose structure of friction is unknown; the covariance counts it in.
+    """The statistical contract on a short arm whose friction structure is unknown; the covariance includes this.
 
-    What gains have in common no length of a log tells: errors halve where there is none, and are judged where there is.
+    A common gain is not identifiable from a log of any length: errors halve without one, and are judged with one.
     """
     for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):
         found = check_estimator(
@@ -60,7 +60,8 @@ def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_ar
 
 @pytest.mark.slow  # 15 s beside other work
 def test_the_covariance_holds_for_coloured_residuals_and_the_formal_one_does_not(short_arm) -> None:
-    """AR(1) noise that remembers 0.2 s: NEES in 0.7 to 1.4; above 3 by what white residuals would give."""
+    """AR(1) noise with a correlation time of 0.2 s: NEES from 0.7 to 1.4, but above 3 if residuals are assumed
+    white."""
     truth, found = short_arm.experiment()(0, 3000).truth, []
     for k in range(24):
         fit = fit_dynamics(short_arm.log(k, 3000, rho=0.95), short_arm.robot)
@@ -74,7 +75,7 @@ def test_the_covariance_holds_for_coloured_residuals_and_the_formal_one_does_not
 
 
 def test_drift_along_the_log_is_in_the_covariance_of_friction(short_arm, short_fit) -> None:
-    """Offsets that change by 20 % of Coulomb friction from half to half."""
+    """Offsets that change by 20 % of Coulomb friction between the halves of the log."""
     log = short_arm.log(0, 3000)
     drift = np.linspace(-1.0, 1.0, len(log))[:, None] * np.array([0.4, 0.2])
     fit = fit_dynamics(log.with_column("tau", log["tau"] + drift), short_arm.robot)
@@ -91,10 +92,10 @@ def test_drift_along_the_log_is_in_the_covariance_of_friction(short_arm, short_f
 @pytest.mark.filterwarnings("ignore:Expected torque ripple")
 @pytest.mark.parametrize("drift", [0.0, 1.0], ids=["steady", "warming and drift"])
 def test_halves_of_a_log_agree_within_their_covariances(truth, fitted, drift) -> None:
-    """NEES of the difference of halves of 30 s, over its dimension; before drift was counted it was 15 for friction.
+    """NEES of the difference between 30 s halves, per dimension; for friction it was 15 before drift was included.
 
     Viscous friction falls by up to 15 % and Coulomb friction by 5 % along the log; offsets and both kinds of friction
-    also walk at random. Both halves have the same gains, which are no difference between them: here they are known.
+    also follow random walks. Both halves share the same gains, which cannot differ, so here they are known.
     """
     model = fitted.value
     known = replace(fitted, value=replace(model, gains=np.ones(7), gain_cov=np.zeros((7, 7))))
@@ -110,12 +111,12 @@ def test_halves_of_a_log_agree_within_their_covariances(truth, fitted, drift) ->
             e = one.parameters[i] - other.parameters[j]
             found.append(e @ np.linalg.solve(one.cov[np.ix_(i, i)] + other.cov[np.ix_(j, j)], e) / len(e))
     print(f"NEES/n, drift {drift}: rigid {np.mean(rigid):.2f}, friction {np.mean(friction):.2f}")
-    assert (0.6 if drift else 0.7) < np.mean(rigid) < 1.4  # a walk looks like noise in part: 0.64, too careful
+    assert (0.6 if drift else 0.7) < np.mean(rigid) < 1.4  # a random walk partly looks like noise: 0.64, conservative
     assert 0.7 < np.mean(friction) < 1.4
 
 
 def _drift(truth, log: Table, seed: int) -> np.ndarray:
-    """Return torque (N, 7) of friction that warms up, and of offsets and friction that walk at random."""
+    """Return the torque (N, 7) of friction warm-up and of random walks in offsets and friction."""
     rng, n, t, f = np.random.default_rng([seed, 77]), 7, log.t[:, None], truth.friction
     warm = rng.uniform(0.5, 1.5, n) * (np.exp(-t / 60.0) - 1.0)
     walks = np.cumsum(rng.standard_normal((3, len(log), n)), axis=1) * np.sqrt((log.t[1] - log.t[0]) / 30.0)
@@ -142,7 +143,7 @@ def _error(short_arm, method: str, **bad) -> float:
 
 @pytest.mark.slow  # 25 s beside other work
 def test_outliers_do_little_harm_to_the_robust_methods_only(short_arm) -> None:
-    """Five per cent of single samples ten deviations off."""
+    """Five per cent of individual samples are off by ten standard deviations."""
     for method in ("irls", "lts"):
         assert _error(short_arm, method, bad=0.05) < 1.3 * _error(short_arm, method)
     assert _error(short_arm, "ols", bad=0.05) > 2.0 * _error(short_arm, "ols")
@@ -150,7 +151,7 @@ def test_outliers_do_little_harm_to_the_robust_methods_only(short_arm) -> None:
 
 @pytest.mark.slow  # 10 s beside other work
 def test_stretches_of_outliers_do_little_harm_to_trimming(short_arm) -> None:
-    """Half a second each, five per cent of the log."""
+    """Segments of half a second, five per cent of the log."""
     assert _error(short_arm, "lts", bad=0.05, stretch=50) < 1.3 * _error(short_arm, "lts")
 
 
@@ -167,7 +168,7 @@ SKIPPED = {
 @pytest.mark.slow  # 5 s
 @pytest.mark.parametrize("fit", [fit_dynamics, fit_gravity])
 def test_the_laws_of_the_statistical_contract(fit, short_arm) -> None:
-    """Files bit-equal, inputs as they were, outputs read-only, the same bits twice, NaN refused by its row."""
+    """Bit-equal files, unchanged inputs, read-only outputs, repeatable bits, and NaN refused with its row."""
     robot, experiment = short_arm.robot, short_arm.experiment(slow=fit is fit_gravity)
     log = experiment(0, 3000).data["table"]
     locked = np.arange(2) == 1
@@ -191,7 +192,7 @@ def test_the_fit_reports_every_joint(truth, fitted) -> None:
 
 
 def test_the_model_keeps_the_covariance_of_all_parameters(short_fit, tmp_path) -> None:
-    """Of the fit, and of the drift of friction until the next log; a file of another arm's parameters is refused."""
+    """Covariance of the fit and of friction drift until the next log; another arm's parameters are refused."""
     model = short_fit.value
     known, size = model.parameters, len(model.base_names)
     np.testing.assert_allclose(known.cov[:size, :size], model.base_cov, rtol=1e-9, atol=1e-30)
@@ -209,7 +210,7 @@ def test_the_model_keeps_the_covariance_of_all_parameters(short_fit, tmp_path) -
 
 
 def test_held_out_rows_of_several_logs_are_held_out(short_arm, monkeypatch) -> None:
-    """Clocks that start again, the second log shorter: each row is held out once, by a model without its block."""
+    """Two logs with restarting clocks, the second shorter: each row is held out once, by a model without its block."""
     seen = {}
 
     def spy(model, folds, data, *_, **__):
@@ -222,7 +223,7 @@ def test_held_out_rows_of_several_logs_are_held_out(short_arm, monkeypatch) -> N
     np.testing.assert_array_equal(masks.sum(axis=0), 1)
     for a, b in seen["data"].segments:
         assert np.all(masks[:, a:b].mean(axis=1) > 0.05)
-    assert fit.value.quality.seconds == pytest.approx(15.99 + 11.99)  # no second between the logs
+    assert fit.value.quality.seconds == pytest.approx(15.99 + 11.99)  # the gap between the logs does not count
     assert np.all(fit.value.quality.rms_cv > fit.value.quality.rms)
 
 
@@ -267,7 +268,7 @@ def test_a_prior_holds_what_a_small_sway_does_not_tell_and_is_of_this_robot(trut
 
 @pytest.mark.slow  # 5 s beside other work
 def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None:
-    """Two wrist joints send nothing. The others come out as before, and no estimator listens to the two."""
+    """Two wrist joints send no torque. The results of the others do not change, and no estimator uses these two."""
     robot, measured = truth.robot, [0, 1, 2, 3, 4]
     silent = excited["tau"] * np.isin(np.arange(7), measured)
     fit = fit_dynamics(excited.with_column("tau", silent), robot, joints=measured, method="wls")
@@ -289,8 +290,8 @@ def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None
 
 
 def test_gravity_of_other_poses_is_predicted(truth, gravity) -> None:
-    """As it is read, to 4 % of its deviation over random poses in the range of the log, 3 % were every gain known;
-    offsets but for the asymmetry of friction."""
+    """Measured gravity torque to 4 % of its standard deviation over random poses in the range of the log, 3 % if all
+    gains were known; offsets except for friction asymmetry."""
     model, robot = gravity.value, truth.robot
     rng = np.random.default_rng(0)
     q = rng.uniform(model.training.q_min, model.training.q_max, (500, 7))
@@ -330,7 +331,7 @@ def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
 
 
 def test_sums_are_known_by_all_that_they_depend_on(short_arm) -> None:
-    """Sums of a log are kept by this number: one that stayed the same would give those of another pattern."""
+    """The sums of a log are cached under this hash; if it did not change, those of another pattern would be used."""
     _, pattern = fit_draft([short_arm.log(0, 1500)], short_arm.robot, 1)
     assert pickle.loads(pickle.dumps(pattern)).sha256 == pattern.sha256
     others = [
@@ -345,7 +346,7 @@ def test_sums_are_known_by_all_that_they_depend_on(short_arm) -> None:
 
 
 def test_the_draft_decides_on_ripple_for_every_log(short_arm) -> None:
-    """A log alone would have its own columns, and its sums could not be added to those of the others."""
+    """A log on its own would have different columns, and its sums could not be added to those of the others."""
     robot = replace(short_arm.robot, coupling=np.eye(2) / 60.0)
     slow = short_arm.log(0, 1500)
     fast = Table(slow.t, {"q": 6.0 * slow["q"], "qd": 6.0 * slow["qd"], "tau": slow["tau"]})
@@ -368,7 +369,7 @@ def threads() -> dict[str, int]:
 
 
 class Stopped(Exception):
-    """Ends a fit that has told what it was run for."""
+    """Stops a fit that has shown what the test needs."""
 
 
 def test_a_fit_has_one_thread(excited: Table, truth) -> None:

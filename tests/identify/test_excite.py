@@ -1,4 +1,4 @@
-"""Excitation motions, friction runs, and the precision that a motion will give."""
+"""Excitation trajectories, friction runs, and predicted parameter precision."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_short_sway_has_no_jump_either(seconds: float) -> None:
 
 
 def test_motions_that_collide_are_not_chosen() -> None:
-    """The second joint stays above its centre, whatever the candidates; a world without room is refused."""
+    """The second joint stays above its centre, for any candidates; a workspace without room is refused."""
     robot = robots.load("yumi_left")
     free = design_excitation(robot, seconds=10, speed=0.2)
     bound = np.quantile(free.sample(np.arange(0, 10, 0.1))[0][:, 1], 0.02)
@@ -81,7 +81,7 @@ def test_motions_beyond_the_torque_limits_are_not_chosen() -> None:
 
 
 def test_noise_weighs_the_joints() -> None:
-    """A joint whose torque is noise tells nothing: another motion is the best."""
+    """A joint whose torque is pure noise gives no information, so another motion is best."""
     robot = robots.load("ur5e")
     t = np.arange(0, 10, 0.5)
     plain = design_excitation(robot, seconds=10).sample(t)[0]
@@ -94,7 +94,7 @@ def test_noise_weighs_the_joints() -> None:
 
 @pytest.mark.slow
 def test_a_search_makes_the_motion_tell_more() -> None:
-    """D-optimal: the median of the expected deviations falls by a tenth in 100 rounds, inside all limits."""
+    """D-optimal: the median expected standard deviation falls by a tenth in 100 rounds, within all limits."""
     robot = robots.load("yumi_left")
     plain, searched = (design_excitation(robot, seconds=20, rounds=rounds) for rounds in (0, 100))
     assert np.median(predicted_uncertainty(searched, robot).sd) < 0.9 * np.median(
@@ -158,7 +158,7 @@ def test_after_lost_packets_the_motion_goes_on_without_a_jump_and_a_new_session_
 
 
 def test_a_motion_is_saved_and_run_again(tmp_path) -> None:
-    """Through a CSV file at 250 Hz the same motion comes back: what is designed today runs tomorrow."""
+    """A CSV file at 250 Hz restores the same motion, so that a saved design can be run later."""
     robot = robots.load("yumi_left")
     motion = design_excitation(robot, seconds=10.3, seed=2)
     path = log.write(motion.table(), tmp_path / "excite.csv")
@@ -198,7 +198,7 @@ def test_constant_speeds_both_ways_with_holds(name: str, joint: int) -> None:
 
 
 def steady_runs(t: np.ndarray, q: np.ndarray, qd: np.ndarray, steady: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return speed and way of each stretch of constant speed that is not a hold; check that holds last 2 s."""
+    """Return the speed and travel of each constant-speed segment that is not a hold; check that holds last 2 s."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(int), [0]]))).reshape(-1, 2)
     edges = edges[edges[:, 1] - edges[:, 0] > 3]
     speeds = np.array([np.median(qd[a:b]) for a, b in edges])
@@ -254,7 +254,7 @@ def test_deviations_follow_the_noise_and_the_length(
 
 
 def test_the_spread_of_fits_is_what_was_expected(expected: PredictedUncertainty, motion: identify.Trajectory) -> None:
-    """Least squares on the expected regressor itself, with white noise: the deviations are those of 200 fits."""
+    """Least squares on the expected regressor with white noise: the standard deviations match those of 200 fits."""
     robot = robots.load("yumi_left")
     q, qd, qdd = motion.sample(np.arange(0.0, 15.0, 0.02))
     base = dynamics.base_parameters(robot)
@@ -267,7 +267,7 @@ def test_the_spread_of_fits_is_what_was_expected(expected: PredictedUncertainty,
         columns = (qd[:, i], qd[:, i] > 0, -1.0 * (qd[:, i] < 0), np.ones(len(q)))
         A[:, i, len(base.names) + 4 * i : len(base.names) + 4 * i + 4] = np.stack(columns, axis=1)
     A = A.reshape(-1, len(expected.names))
-    noise = np.random.default_rng(1).normal(0.0, 0.1 / np.sqrt(5.0), (len(A), 200))  # 5 logged samples for one here
+    noise = np.random.default_rng(1).normal(0.0, 0.1 / np.sqrt(5.0), (len(A), 200))  # 5 logged samples per sample here
     spread = np.linalg.lstsq(A, noise, rcond=None)[0].std(axis=1)
     assert np.median(spread / expected.sd) == pytest.approx(1.0, abs=0.03)
     assert np.all(np.abs(spread / expected.sd - 1) < 0.25)

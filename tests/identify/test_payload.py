@@ -1,4 +1,4 @@
-"""Loads and links as bodies: payload identification, errors of the model of the arm, physical consistency."""
+"""Payload identification, errors of the arm model, and physical consistency of loads and links."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def table(truth, motion) -> Table:
 
 @pytest.mark.parametrize("pair", [False, True])
 def test_half_a_kilogram(truth, model, motion, table, pair: bool) -> None:
-    """With a log without the load, what the model has wrong of friction falls out of the difference."""
+    """With a log without the load, friction errors of the model cancel in the difference."""
     if pair:
         model = replace(model, friction=replace(model.friction, viscous=1.5 * model.friction.viscous))
     fit = fit_payload(table, model, truth.robot, without=truth.log(motion, seed=4) if pair else None)
     assert fit.value.mass == pytest.approx(MASS, rel=0.03)
     np.testing.assert_allclose(fit.value.centre, CENTRE, atol=5e-3)
-    assert 0.01 < fit.sd[0] / MASS < 0.05  # what 5 % of unknown gain leaves
+    assert 0.01 < fit.sd[0] / MASS < 0.05  # what a gain uncertainty of 5 % leaves
     assert np.all(np.abs(fit.parameters - POINT[:4]) < 3 * fit.sd)
     text = fit.report()
     draws = np.random.default_rng(0).multivariate_normal(fit.parameters[:4], fit.cov[:4, :4], 20_000)
@@ -94,7 +94,7 @@ def test_known_gains_say_more_and_gains_are_found_where_joints_differ(truth, mod
 
 
 def test_a_wrist_alone_weighs_it(truth, model) -> None:
-    """Joints at rest are left out: what friction does there is not known."""
+    """Joints at rest are excluded, because their friction is unknown."""
     robot = truth.robot
     t = np.arange(0, 15, 0.004)[:, None]
     moves = np.arange(7) >= 3
@@ -133,7 +133,7 @@ def test_a_load_that_the_log_cannot_weigh_is_refused_by_name(truth, model) -> No
 
 @pytest.fixture(scope="module")
 def experiment(truth, fitted):
-    """Free motion at 100 Hz of an arm that the model knows, but for the gains of what the load adds."""
+    """Free motion at 100 Hz of an arm that the model describes exactly, except for the gains on the load's torque."""
     robot, model = truth.robot, replace(fitted.value, gain_cov=np.zeros((7, 7)))
     known = replace(fitted, value=model, cov=0.0 * fitted.cov)
     motion = identify.design_excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
@@ -161,7 +161,7 @@ REASONS = {
 
 
 def weightless(truth, model) -> dict:
-    """Without gravity and nearly at rest the torques know nothing of a mass."""
+    """Without gravity and nearly at rest, the torques contain no information about a mass."""
     robot = replace(truth.robot, gravity=np.zeros(3))
     light = replace(model, gravity=np.zeros(3), robot_hash=robot.hash)
     t = np.arange(0, 20, 0.004)[:, None]
@@ -172,7 +172,7 @@ def weightless(truth, model) -> dict:
 
 @pytest.mark.slow  # 7 s
 def test_the_statistical_contract(experiment, truth, model) -> None:
-    """Gains known and a perfect model: errors shrink with the record."""
+    """With known gains and a perfect model, errors shrink as the record grows."""
     contract = check_estimator(
         fit_payload,
         lambda seed, n: experiment(0.0, seed, n),
@@ -196,7 +196,7 @@ def test_gains_are_in_the_covariance(experiment) -> None:
 
 
 def three_joints(seed: tuple[int, int], n: int, motion: int, pi: np.ndarray, noise: float) -> tuple[Table, Robot]:
-    """A log at 100 Hz of an arm of three joints with Coulomb and viscous friction that carries pi."""
+    """A 100 Hz log of a three-joint arm with Coulomb and viscous friction that carries a load pi."""
     turned, down, flange = np.eye(4), np.eye(4), np.eye(4)
     turned[:3, :3] = down[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     down[0, 3], flange[2, 3] = 0.3, 0.1
@@ -219,9 +219,9 @@ def three_joints(seed: tuple[int, int], n: int, motion: int, pi: np.ndarray, noi
 
 @pytest.mark.slow  # 15 s
 def test_an_identified_model_is_in_the_covariance() -> None:
-    """Each load is weighed with a model identified from a log of its own: NEES is at most 1, within three errors.
+    """Each load is identified with a model from a separate log: NEES is at most 1, within three standard errors.
 
-    It is 0.35: drift, rival structures and the prior of gains are in the model's covariance, and not in these logs.
+    It is 0.35: the model's covariance includes drift, alternative structures and the gain prior, which these logs lack.
     """
     nees = []
     for seed in range(12):
@@ -276,7 +276,7 @@ def test_what_is_not_known_by_name_is_left_out_and_said(truth, fitted) -> None:
 
 
 def test_what_gains_have_in_common_is_no_error_of_the_torque_that_is_read(fitted, truth) -> None:
-    """The deviation of the weight of the arm is 2 % of it with the gains; what the model predicts is known better."""
+    """With the gains, the SD of the arm's weight is 2 % of it; the torque that the model predicts is known better."""
     model, p = fitted.value, len(fitted.value.base_names)
     error = ModelError.of(fitted, truth.robot)
     index = [error.names.index(name) for name in model.base_names]
@@ -304,7 +304,7 @@ def shifted(fit: Fit, base_values: np.ndarray, robot) -> Fit:
 
 
 def test_pseudo_inertia_is_made_of_moments() -> None:
-    """Of points: the sum of m [x; 1] [x; 1]^T."""
+    """For point masses: the sum of m [x; 1] [x; 1]^T."""
     rng = np.random.default_rng(0)
     masses, points = rng.uniform(0.1, 1.0, 5), rng.standard_normal((5, 3))
     pi = sum(inertia.from_body(m, x, np.zeros((3, 3))) for m, x in zip(masses, points))
@@ -318,7 +318,7 @@ def test_pseudo_inertia_is_made_of_moments() -> None:
 @needs_cvxpy
 @pytest.mark.parametrize("pull", ["log-det", "euclidean"])
 def test_true_bodies_stay(truth, fitted, pull: str) -> None:
-    """Base parameters of real bodies, with these bodies as the prior: nothing is to be done."""
+    """Base parameters of real bodies, with these bodies as the prior: no change is needed."""
     robot = truth.robot
     bodies = sim.synthetic_truth(robot).pi
     values = dynamics.base_parameters(robot).B @ np.concatenate([bodies.ravel(), truth.rotor])
@@ -366,7 +366,7 @@ def test_an_impossible_fit_becomes_possible(truth, fitted, bodies) -> None:
 
 @needs_cvxpy
 def test_the_residual_of_the_log_grows_as_stated(truth, fitted, excited) -> None:
-    """Pulled hard to bodies that are too heavy: what the log's own residual, filtered, says of it."""
+    """Strong regularisation towards bodies that are too heavy, checked against the filtered residual of the log."""
     heavy = 3.0 * sim.synthetic_truth(truth.robot).pi
     found = physically_consistent(fitted, truth.robot, prior=heavy, pull="euclidean", strength=3e4)
 
@@ -394,7 +394,7 @@ def test_simulator_and_urdf_take_the_links(truth, bodies, tmp_path) -> None:
 
 @needs_cvxpy
 def test_a_load_becomes_a_body(truth, model, brief) -> None:
-    """A point has no inertia about itself: half of the fits of one are no body, and a body is near."""
+    """A point mass has no inertia about its centre: half of its fits are unphysical, with a physical body nearby."""
     fit = fit_payload(carrying(truth, POINT).log(brief, seed=3), model, truth.robot, "dynamic")
     assert np.linalg.eigvalsh(pseudo_inertia(fit.value.pi)).min() < 0
     body = physically_consistent_load(fit)

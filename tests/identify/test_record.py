@@ -55,7 +55,7 @@ def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> N
 
 
 def test_a_sliding_joint_moves_when_it_moves_by_millimetres(truth) -> None:
-    """5 degrees say nothing about a slide: 30 mm are enough, 10 mm are not, and the message says mm."""
+    """A prismatic joint has no limit in degrees: 30 mm are enough, 10 mm are not, and the message uses mm."""
     robot = replace(truth.robot, prismatic=np.arange(7) == 0)
     t = np.arange(0, 10, 0.004)
 
@@ -81,7 +81,7 @@ def test_positions_without_velocity_are_refused_by_row_and_too_few_have_none(exc
 
 
 def test_velocity_is_computed_where_the_log_has_none(truth, excited) -> None:
-    """Ten times the motion's band: the derivative of the position is as good as a velocity that was measured."""
+    """Sampled at ten times the motion's bandwidth, the position derivative is as good as a measured velocity."""
     bare = Table(excited.t, {"q": excited["q"], "tau": excited["tau"]})
     found, given = prepare(bare, truth.robot), prepare(excited, truth.robot)
     assert np.std(found.qd - given.qd) < 2e-3
@@ -93,7 +93,7 @@ def test_velocity_is_computed_where_the_log_has_none(truth, excited) -> None:
 
 
 def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> None:
-    """Others may move them. Two places of rest, in two logs, are no motion whose velocity is missing."""
+    """Other logs may move these joints. Different rest positions in two logs are not a motion without velocity."""
     logs = [short_arm.log(k, 1000, still={1: position}) for k, position in enumerate((0.0, 0.5))]
     for table in logs:
         with pytest.raises(NotExcited, match="joint_2"):
@@ -108,7 +108,7 @@ def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> N
 
 
 def test_spikes_are_found_and_replaced_better_by_a_model(short_arm, short_fit) -> None:
-    """The median errs where friction turns round; with the model no replacement is worse than the noise around it."""
+    """The median fails where friction reverses; with the model, no replacement is worse than the noise around it."""
     clean, bad = short_arm.log(0, 3000), short_arm.log(0, 3000, bad=0.05)
     data = prepare(bad, short_arm.robot)
     spoilt, found = bad["tau"] != clean["tau"], torque_outliers(data)
@@ -146,14 +146,14 @@ def test_constant_power_warms_as_the_law_says() -> None:
 
 
 def test_warmth_settles_with_its_own_friction() -> None:
-    """Viscous friction f qd^2 (1 - 0.4 x) of constant speed: x = h / (1 + 0.4 h) in the end."""
+    """With viscous friction f qd^2 (1 - 0.4 x) at constant speed, x settles at h / (1 + 0.4 h)."""
     k = np.array([2.0, 0.0, 0.0, 0.0, -0.8, 0.0])
     power = np.tile([0.5, 0.0, 0.0], (3000, 1))
     assert settled(power, k, 120.0, 0.0, 1.0)[-1] == pytest.approx(1.0 / 1.4, rel=1e-3)
 
 
 def test_pieces_begin_as_warm_as_the_log_has_made_them(truth, excited, model) -> None:
-    """Torque of a piece alone is that of the whole log; without its warmth it is not."""
+    """The torque of a segment alone is that of the whole log, but not without its initial warmth."""
     zero = np.zeros(7)
     warm = WarmUp(zero - 0.3, zero - 0.4, np.where(np.arange(7) < 5, 20.0, 0.0), zero + 1.0, zero + 0.2)
     hot, data = replace(model, warm_up=warm), prepare(excited, truth.robot)
@@ -223,7 +223,7 @@ def test_another_unit_of_torque_changes_the_variances_alone(kind: str) -> None:
 
 
 def test_a_slow_motion_is_no_memory_of_the_noise() -> None:
-    """White noise along a slow sway tells as much as along speeds that are drawn; noise that remembers tells less."""
+    """White noise is as informative along a slow sway as at random speeds; correlated noise is less informative."""
     rng = np.random.default_rng(0)
     qd = 0.3 * np.sin(2 * np.pi * np.arange(6000) / 1500.0)[:, None]
     truth = velocity_covariance("exp", [C0], [CINF], [RATE])
@@ -242,7 +242,7 @@ def test_constant_is_the_mean_square() -> None:
 
 
 def test_a_step_is_found_between_two_samples_of_speed() -> None:
-    """The threshold has no grid: it lies within samples of where the variance jumps; without a jump it is not known."""
+    """The threshold is not on a grid: it lies within samples of the variance jump; without a jump it is unknown."""
     rng = np.random.default_rng(3)
     qd = rng.permutation(np.linspace(0.001, 1.0, 1000))[:, None]
     noise = rng.standard_normal((1000, 1))
@@ -253,7 +253,7 @@ def test_a_step_is_found_between_two_samples_of_speed() -> None:
 
 
 def test_what_the_data_do_not_tell_is_uncertain_and_never_exact() -> None:
-    """White residuals have no rate of decay; always fast joints have no variance at rest."""
+    """White residuals have no decay rate; joints that are always fast have no variance at rest."""
     rng = np.random.default_rng(0)
     e, qd = rng.standard_normal((2, 2000, 1))
     white = fit_velocity_covariance(e, qd)
@@ -294,7 +294,7 @@ def test_some_windows_of_a_long_record_tell_the_factors(truth, excited, model, m
 
 
 def test_drift_between_logs_is_not_averaged(truth, excited, model) -> None:
-    """In the factors of both estimators, drift counts as an error that lasts."""
+    """In the factors of both estimators, drift counts as a persistent error."""
     data = prepare(excited, truth.robot)
     rows = np.ones(len(data.t), dtype=bool)
     errors, moving = held_out([(model, rows)], data)
@@ -309,7 +309,7 @@ def test_drift_between_logs_is_not_averaged(truth, excited, model) -> None:
 
 
 def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
-    """On the rows that it is set on 95.4 % of the axes that can be seen, unless a factor met its bound."""
+    """Covers 95.4 % of the observable axes on the rows used for tuning, unless a factor reached its bound."""
     data = prepare(excited, truth.robot)
     rows = np.arange(len(data.t)) < len(data.t) // 2
     folds = [(model, rows), (model, ~rows)]
@@ -323,7 +323,7 @@ def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
     rows = moving.all(axis=1) & (data.t > 1.0)
     for filters, factor in ((True, noise.alpha2_kf), (False, noise.alpha2_observer)):
         kernel = judged.momentum_kernel(prior, rate, filters=filters)
-        tau = with_wrench(judged, data, 0, len(data.t)) if filters else data.tau  # a wrench that is known
+        tau = with_wrench(judged, data, 0, len(data.t)) if filters else data.tau  # a known wrench
         F, P, seen, error, variance, *_ = (a[rows] for a in kernel.run(data.q, data.qd, tau, data.dt)[:5])
         missed = F - known_wrench(data.t[rows])
         ratio = (missed**2 / np.einsum("kii->ki", P))[seen > 0.9] if filters else error**2 / variance

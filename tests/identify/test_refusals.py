@@ -30,7 +30,7 @@ NOISE = np.random.default_rng(1).standard_normal((400, 2))
 
 
 def changed(table: Table, change: Callable[[np.ndarray], np.ndarray | None] | float, *names: str) -> Table:
-    """The log with some columns multiplied by a number, or changed by a function of a copy."""
+    """The log with some columns multiplied by a number, or changed by a function on a copy."""
     for name in names:
         values = np.array(table[name])
         new = change * values if isinstance(change, float) else change(values)

@@ -44,7 +44,7 @@ def test_ranks_of_the_yumi_arm_are_the_published_ones() -> None:
 
 @pytest.mark.parametrize("name", ["yumi_left", "irb2400", "ur5e"])
 def test_axes_that_are_a_little_off_do_not_count_as_others(name: str) -> None:
-    """A calibrated arm: 1 mm and 1 mrad make no columns that nearly depend on others; torques keep to a thousandth."""
+    """A calibrated arm: 1 mm and 1 mrad add no nearly dependent columns; torques agree to a thousandth."""
     robot, rng = robots.load(name), np.random.default_rng(1)
     frames = robot.frames @ se3.exp(1e-3 * rng.standard_normal((robot.n + 1, 6)))
     frames[0] = robot.frames[0]
@@ -78,14 +78,14 @@ def test_base_parameters_give_the_torque_of_any_link_parameters(name: str) -> No
 
 
 def lift() -> robots.Robot:
-    """A vertical slide that carries a turning link."""
+    """A vertical prismatic joint that carries a revolute one."""
     turned = np.eye(4)
     turned[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     return robots.from_links("lift", [np.eye(4), turned, np.eye(4)], prismatic=[True, False])
 
 
 def test_weight_on_a_vertical_slide_counts_as_its_offset() -> None:
-    """Gravity of all that a lift carries is constant: only its inertia is a base parameter."""
+    """Gravity on everything a lift carries is constant, so only the inertia is a base parameter."""
     robot = lift()
     base = base_parameters(robot)
     assert base.offset_names[0].startswith("offset")
@@ -138,7 +138,7 @@ def test_decimation_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> 
 
 @pytest.mark.parametrize("rows", [100, 5000])
 def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
-    """Also where the filter reaches beyond the other end of the piece."""
+    """Also where the filter reaches beyond the other end of the segment."""
     short = replace(data, rate=2500.0, segments=((0, rows),))
     decimation = Decimation.of(short, 25.0, 10)
     reach = len(decimation.taps) // 2
@@ -172,7 +172,7 @@ def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(tr
 
 
 def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
-    """Ratio 1 would make cos 2q and sin 2q of it: harmonics of gravity."""
+    """A ratio of 1 would give cos 2q and sin 2q, which are harmonics of gravity."""
     robot = truth.robot
     data = prepare(excited, robot)
     base = base_parameters(robot)
@@ -187,7 +187,7 @@ def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
 
 
 def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
-    """At 50 Hz a line of 200 rad/rad passes too fast in most samples; at 250 Hz it is cut where it is too fast."""
+    """At 50 Hz, a line of 200 rad/rad is too fast in most samples; at 250 Hz it is cut only where it is too fast."""
     robot, base = truth.robot, base_parameters(truth.robot)
     with pytest.warns(UserWarning, match=r"ripple below 12\.5 Hz, a quarter.*axis_1.*no ripple is fitted"):
         coarse = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base)
@@ -204,7 +204,7 @@ def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
 
 
 def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> None:
-    """Motor 7 turns with q6 + q7: its inertia and friction act on both rows, and come out."""
+    """Motor 7 turns with q6 + q7: its inertia and friction act on both rows, and are identified."""
     robot = truth.robot
     gears = np.linalg.inv(robot.coupling)
     gears[6, 5] = gears[6, 6]
@@ -289,7 +289,7 @@ def test_a_rotor_behind_a_parallel_rod_is_an_inertia_of_the_link() -> None:
 
 
 def record() -> tuple[np.ndarray, np.ndarray]:
-    """A joint that goes to and fro at many speeds: q and qd (6000, 1), 100 Hz."""
+    """A joint that moves back and forth at many speeds: q and qd (6000, 1), 100 Hz."""
     rng = np.random.default_rng(0)
     t = np.arange(6000) * 0.01
     f, phase = rng.uniform(0.1, 0.8, 8), rng.uniform(0, 6, 8)
@@ -298,12 +298,12 @@ def record() -> tuple[np.ndarray, np.ndarray]:
 
 
 def load(q: np.ndarray) -> np.ndarray:
-    """Torque that goes to the links: as of a weight, between 10 and 90 N m."""
+    """Torque transmitted to the links, like that of a weight, between 10 and 90 N m."""
     return 50.0 + 40.0 * np.sin(2.0 * q + np.linspace(0.0, 40.0, len(q))[:, None])
 
 
 def chosen(torque, noise: float = 0.02, trust: np.ndarray | float = 1.0) -> FrictionStructure:
-    """Of all rows of a record without a filter, in folds of half a second."""
+    """The structure chosen on all rows of an unfiltered record, in folds of half a second."""
     q, qd = record()
     rows = np.arange(len(q))
     y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)

@@ -17,7 +17,7 @@ from armlab.identify.solve import GAIN_SD, GainProblem, best_cutoff, calibrated,
 
 
 def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:
-    """Torque of noise alone: no straight line holds for a distance that nothing shows."""
+    """With pure noise as torque, no linearisation holds for a presliding distance that the data do not show."""
     data = prepare(short_arm.log(0, 1500), short_arm.robot)
     noise = replace(data, tau=np.random.default_rng(0).standard_normal(data.tau.shape))
     design = Design.build(noise, short_arm.robot, base_parameters(short_arm.robot))
@@ -60,7 +60,7 @@ def test_exact_measurements_are_solved() -> None:
     np.testing.assert_allclose(np.outer(1 + g, x), np.outer([1.04, 0.97, 1.02, 0.95], X), rtol=1e-3)
     information = made.information(x, g)
     assert np.linalg.eigvalsh(information).min() > 0
-    assert x @ information @ x == pytest.approx(4 / 0.05**2, rel=0.1)  # its length is known by four gains of 5 %
+    assert x @ information @ x == pytest.approx(4 / 0.05**2, rel=0.1)  # its length is known from four gains of 5 %
 
 
 # Torque gains.
@@ -78,13 +78,13 @@ def misread(truth, excited) -> Design:
 
 
 def test_joints_that_disagree_tell_their_gains(misread) -> None:
-    """Errors are as large as the covariance says; friction has not even its shape yet."""
+    """Errors match the covariance, although not even the shape of friction is fitted yet."""
     design, _, cov = calibrated(misread, "irls")
     error = design.gains - GAINS
     assert error @ np.linalg.solve(cov, error) / 7 < 2.0
     apart = error[:4] - error[:4].mean()
     assert np.abs(apart).max() < 0.01 < np.abs(GAINS[:4] - GAINS[:4].mean()).max()
-    common = design.gains  # in proportion: what no log tells
+    common = design.gains  # common scale: not identifiable
     assert 1 / np.sqrt(common @ np.linalg.solve(cov, common)) == pytest.approx(GAIN_SD / np.sqrt(7), rel=0.05)
     np.testing.assert_allclose(design.tau, misread.tau / design.gains, rtol=1e-12)
 
@@ -96,7 +96,7 @@ def test_what_all_have_in_common_is_left_to_the_prior(misread) -> None:
 
 
 def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
-    """One gain a little larger: the parameters move by what its covariance is made of."""
+    """A slightly larger gain moves the parameters as the covariance assumes."""
 
     def solve(design: Design) -> LinearSolution:
         rows = design.stream(np.zeros(len(design.rows), dtype=int))
@@ -110,7 +110,7 @@ def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
 
 
 def test_where_the_log_tells_nothing_gains_stay(misread) -> None:
-    """Two base parameters with one effect, then a torque that is nothing: gains of 1, known as expected."""
+    """Two base parameters with the same effect, then zero torque: gains stay 1 with their prior uncertainty."""
     alike = [A.copy() for A in misread.rigid]
     for A, columns in zip(alike, misread.layout.columns):
         at = [np.flatnonzero(columns[: A.shape[1]] == k) for k in (0, 1)]
@@ -125,7 +125,7 @@ def test_where_the_log_tells_nothing_gains_stay(misread) -> None:
 
 @pytest.mark.slow
 def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None:
-    """The short arm with gains of 1.05 and 0.97: in the model, in its covariance, in its report."""
+    """The short arm with gains of 1.05 and 0.97: they appear in the model, its covariance and its report."""
     gains, log = np.array([1.05, 0.97]), short_arm.log(1, 1500)
     fit = identify.fit_dynamics(log.with_column("tau", gains * log["tau"]), short_arm.robot, method="wls")
     plain = identify.fit_dynamics(log, short_arm.robot, method="wls")
@@ -144,7 +144,7 @@ def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None
 
 
 def test_the_corner_is_lower_where_acceleration_is_noisy(truth, excited) -> None:
-    """Chosen low with noise, high without; parameters are then nearer to the truth than those of the highest corner."""
+    """The corner is low with noise, high without; parameters are then closer to the truth than with the highest one."""
     robot, base = truth.robot, base_parameters(truth.robot)
     true = base.B @ np.concatenate([truth.links.ravel(), truth.rotor])
     found = []

@@ -1,4 +1,4 @@
-"""Held-out residuals, reports, and logs that leave the training data."""
+"""Held-out residuals, reports, and logs outside the training data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from armlab.log import Table
 def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, model) -> None:
     data = prepare(excited, truth.robot)
     rows = np.arange(len(data.t)) % 2 == 0
-    model = replace(model, parameters=None)  # all of the variance is that of the covariance
+    model = replace(model, parameters=None)  # all variance comes from the covariance
     folds = [(model, rows), (model, ~rows)]
     errors, moving = held_out(folds, data)
     assert np.isfinite(errors).all()
@@ -26,7 +26,7 @@ def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, 
     judged = assess(model, folds, data)
     ratio = (errors**2 / judged.covariance.variance(data.qd))[moving]
     assert abs(np.mean(ratio < 4.0) - 0.954) < 1e-3  # alpha is set to make it so
-    # the share in the report is judged on the half that neither covariance nor scale were fitted to
+    # coverage in the report is judged on the half to which neither covariance nor scale was fitted
     np.testing.assert_allclose(judged.quality.coverage, 0.954, atol=0.03)
     assert np.mean(judged.quality.coverage) != pytest.approx(np.mean(ratio < 4.0), abs=1e-9)
     # these folds saw every row: in-sample and held-out figures are of one kind and therefore equal
@@ -49,7 +49,8 @@ def test_both_parts_of_the_covariance_together_cover_the_errors() -> None:
 
 @pytest.mark.slow  # 5 s
 def test_a_model_with_parts_is_judged_with_what_its_base_lost_on_the_same_log(truth, excited, model) -> None:
-    """On its own log the base has seen each fifth: its loss is added. On another log residuals tell it themselves."""
+    """On its own log, the base model has seen every fifth, so its loss is added. On another log, the residuals include
+    it."""
     data = prepare(excited.between(0.0, 10.0), truth.robot)
     model = replace(model, sources=data.sources)
     q, folds = model.quality, [model] * FIFTHS
@@ -79,7 +80,7 @@ def test_predict_gives_model_torque_whose_band_holds_the_measured_one(truth, exc
 
 
 def test_a_prediction_does_not_reach_across_a_gap(truth, excited, model) -> None:
-    """Samples are missing: what lies a second away from the gap is as without it; a short piece has no prediction."""
+    """Samples are missing: rows a second away from the gap do not change; a short segment has no prediction."""
     whole, kept = predict(model, excited), np.r_[0:2000, 2500:2550, 3000:7500]
     holed = predict(model, excited.rows(kept))
     assert np.isnan(holed["tau_model"][2000:2050]).all()
@@ -93,7 +94,7 @@ def test_a_prediction_does_not_reach_across_a_gap(truth, excited, model) -> None
 
 
 def test_a_joint_that_never_slides_is_refused_by_name(truth, excited, model) -> None:
-    """Presliding over a turn: friction is never known, so the errors in motion cannot be judged."""
+    """With presliding over a revolution, friction is never known, so errors in motion cannot be judged."""
     delta = np.where(np.arange(7) == 3, 6.0, model.friction.delta)
     stuck = replace(model, friction=replace(model.friction, delta=delta))
     data = prepare(excited, truth.robot)
@@ -103,7 +104,7 @@ def test_a_joint_that_never_slides_is_refused_by_name(truth, excited, model) -> 
 
 
 def test_the_band_of_a_prediction_is_wide_where_the_arm_rested(truth, model) -> None:
-    """Before the first motion static friction is unknown: the band holds it; in motion the band is narrow."""
+    """Before the first motion static friction is unknown: the band covers it; in motion the band is narrow."""
     table = predict(model, truth.log(dither(truth.robot.q_home, 8.0), seed=3))
     assert np.all(table["tau_sigma"][0] > 0.9 * model.friction.static)
     assert np.all(np.median(table["tau_sigma"][500:1500], axis=0) < 0.2 * model.friction.static)
@@ -123,7 +124,7 @@ def test_the_training_log_itself_needs_no_warning(model, excited) -> None:
 
 
 def test_rest_that_training_did_not_have(model, excited) -> None:
-    """Half the log stands still: a model of motion knows friction there only within bounds."""
+    """The arm rests in half of the log, where a model of motion gives friction only within bounds."""
     half = len(excited) // 2
     q, qd = excited["q"].copy(), excited["qd"].copy()
     q[half:], qd[half:] = q[half], 0.0

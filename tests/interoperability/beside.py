@@ -1,9 +1,9 @@
-"""Our own bridge beside other people's clients: follows one arm until its robot stops, prints one line of JSON.
+"""Our own bridge beside third-party clients: follows one arm until its robot stops, prints one line of JSON.
 
     python beside.py PORT
 
-A cycle is late by our fault when the loop's own computing around it, in processor time, took longer than the share of
-the period after which a reply is late; otherwise the machine had the processor elsewhere.
+A late cycle is our fault if the loop's own processor time around it exceeded the share of the period after which a
+reply is late; otherwise the processor was busy elsewhere.
 """
 
 from __future__ import annotations

@@ -16,11 +16,11 @@ import numpy as np
 
 AMPLITUDE = 10.0  # degrees; the joint ends 20 degrees from where it began
 PATIENCE = 30.0  # s for the first packet
-SILENCE = 3.0  # s that end the program
+SILENCE = 3.0  # s of silence that end the program
 
 
 def main(package: str, port: int, duration: float) -> dict[str, Any]:
-    """Answer every packet until the robot is silent, and tell what was seen."""
+    """Answer every packet until the robot is silent, and return the observations."""
     egm = import_module(f"{package}.egm").EGM(port=port)
     found, state = receive(egm, PATIENCE)
     assert found, "no packet came"

@@ -1,4 +1,4 @@
-"""EGM clients of other people, each in an environment and a process of its own, driven by `armlab sim`.
+"""Third-party EGM clients, each in its own environment and process, driven by `armlab sim`.
 
 They are installed from PyPI; where that is not possible the tests are skipped with the reason. About 50 s in all,
 mostly for installing, and one minute with both clients and our own bridge at once.
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 
 def install(folder: Path, client: str) -> Path | str:
-    """Return the interpreter of an environment with a client, or why there is none."""
+    """Return the interpreter of a client's environment, or the reason why there is none."""
     python = folder / client / "bin" / "python"
     pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "-q", "-r", HERE / CLIENTS[client]]
     for command in ([sys.executable, "-m", "venv", folder / client], pip):
@@ -47,7 +47,7 @@ def free_port() -> int:
 
 
 def drive(folder: Path, python: Path | str, run: tuple[str, str, str, tuple[str, ...]]) -> Any:
-    """Return what a client and the simulator have seen of each other, or why it did not run."""
+    """Return the observations of a client and the simulator, or the reason why the client did not run."""
     client, axes, robotware, more = run
     if isinstance(python, str):
         return python
@@ -69,7 +69,7 @@ def drive(folder: Path, python: Path | str, run: tuple[str, str, str, tuple[str,
 
 @pytest.fixture(scope="module")
 def pythons(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path | str]:
-    """The environments of the clients, made beside each other."""
+    """The clients' environments, created in parallel."""
     folder = tmp_path_factory.mktemp("environments")
     with ThreadPoolExecutor() as pool:
         return dict(zip(CLIENTS, pool.map(lambda client: install(folder, client), CLIENTS), strict=True))
@@ -77,7 +77,7 @@ def pythons(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path | str]:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory, pythons: dict[str, Path | str]) -> dict[Any, Any]:
-    """All clients and flavours, three runs at a time: two cores carry no more."""
+    """All clients and flavours, three runs at a time: two cores cannot handle more."""
     folder = tmp_path_factory.mktemp("clients")
     with ThreadPoolExecutor(3) as pool:
         return dict(zip(RUNS, pool.map(lambda run: drive(folder, pythons[run[0]], run), RUNS), strict=True))
@@ -85,7 +85,7 @@ def results(tmp_path_factory: pytest.TempPathFactory, pythons: dict[str, Path | 
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: f"{run[0]}, {run[1]} axes, RobotWare {run[2]}")
 def test_a_client_moves_the_simulated_robot(results: dict[Any, Any], run: Any) -> None:
-    """Joint 1 and axis 7 follow a cosine, lag as they must and arrive; the arm converges and a new session begins."""
+    """Joint 1 and axis 7 follow a cosine with the expected lag and arrive; the arm converges, a new session begins."""
     if isinstance(results[run], str):
         pytest.skip(results[run])
     seen, counted = results[run]
@@ -100,7 +100,7 @@ def test_a_client_moves_the_simulated_robot(results: dict[Any, Any], run: Any) -
     assert 0.8 * lag < seen["error"] < 1.5 * lag + 0.3
     assert counted["rapid"]["1"] == 1.5
     if run[2] == "7":
-        assert seen["rapid"][0] == 1.5, "RAPID sends back what it hears"
+        assert seen["rapid"][0] == 1.5, "RAPID sends back what it receives"
         assert seen["packets"] - 8 < seen["rapid"][1] < seen["packets"]
     assert seen["restarts"] >= 1
     counts = counted["counts"]
@@ -117,7 +117,7 @@ def real_time() -> None:
 
 
 def stolen() -> float:
-    """Return the time that a hypervisor took from this machine [s], 0 where that is not told."""
+    """Return the time that a hypervisor took from this machine [s], 0 if not reported."""
     with contextlib.suppress(OSError, IndexError):
         return int(Path("/proc/stat").read_text().split()[8]) / os.sysconf("SC_CLK_TCK")
     return 0.0
@@ -126,12 +126,12 @@ def stolen() -> float:
 def test_both_clients_are_answered_for_a_minute_without_a_cycle_missed_by_us(
     tmp_path: Path, pythons: dict[str, Path | str]
 ) -> None:
-    """Six and seven axes at once, our own bridge on a third arm beside: 60 s of traffic, joint motion followed.
+    """Six and seven axes at once, with our own bridge on a third arm: 60 s of traffic, joint motion is followed.
 
-    A cycle is missed by us when the simulated controller skips it because its own computing took longer than a period,
-    when it does not take a message that came, or when our bridge is late by its own computing. What a machine with
-    other work does to the schedule, and what a client does not answer in time, is counted and not blamed on us. Time
-    that a hypervisor took away looks like computing: as many cycles as fit into it are excused, none on a real machine.
+    A cycle counts as missed by us if the simulated controller skips it because its own computation took longer than a
+    period, if it does not read a received message, or if our bridge is late through its own computation. Delays from
+    other work on the machine, and late replies of a client, are counted but not attributed to us. Time taken by a
+    hypervisor looks like computation, so as many cycles as fit into it are excused; none on a real machine.
     """
     for python in pythons.values():
         if isinstance(python, str):
@@ -167,7 +167,7 @@ def test_both_clients_are_answered_for_a_minute_without_a_cycle_missed_by_us(
             pytest.skip(f"this machine was too busy: {counts['skipped']} cycles skipped")
         assert counts.get("overruns", 0) <= excused, arm
         assert counts["packets"] + counts.get("skipped", 0) >= MINUTE / 0.004032 - 10
-        assert counts["replies"] - sum(arm["drops"].values()) - taken <= waiting, "every message that came was taken"
+        assert counts["replies"] - sum(arm["drops"].values()) - taken <= waiting, "every received message was read"
         assert not set(arm["drops"]) - {"not guiding", "queue full"}, "full: by a client that stalled"
         assert counts["sessions"] == 1
     for found, arm in zip(seen, counted.values(), strict=False):

@@ -12,7 +12,7 @@ from armlab.log import Table
 
 
 class Sines:
-    """A second in which every joint moves by two sines."""
+    """A one-second motion in which every joint follows two sines."""
 
     seconds = 1.0
 
@@ -29,13 +29,13 @@ class Sines:
 
 @pytest.fixture(scope="session")
 def excited(truth: Any) -> Table:
-    """A noisy log of a second; what the kernels make of it does not depend on how well it identifies an arm."""
+    """A noisy one-second log; the kernels' results do not depend on how well it identifies an arm."""
     return truth.log(Sines(truth.robot.q_home), seed=1)
 
 
 @pytest.fixture(scope="session")
 def model(truth: Any) -> SimpleNamespace:
-    """The terms of a `TorqueModel` of that arm, nearly true."""
+    """The terms of a `TorqueModel` of that arm, nearly exact."""
     tau, robot = truth.noise / 0.005, truth.robot
     return SimpleNamespace(
         frames=robot.frames,

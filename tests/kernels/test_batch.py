@@ -20,7 +20,7 @@ THREADED = KERNELS[:3]
 
 
 def arm(n: int, seed: int = 0) -> Chain:
-    """A chain with right-angle, half-turn, no and other twists, and with prismatic joints among four or more."""
+    """A chain with zero, right-angle, half-turn and other twists; with four or more joints, some are prismatic."""
     rng = np.random.default_rng(seed)
     frames = np.tile(np.eye(4), (n + 1, 1, 1))
     for k, frame in enumerate(frames):
@@ -40,11 +40,11 @@ def assert_same_bits(ours: Any, wanted: Any) -> None:
         np.testing.assert_array_equal(np.asarray(one).view(np.int64), np.asarray(other).view(np.int64))
 
 
-BATCH = (2, 35)  # whole groups of four samples, and a rest
+BATCH = (2, 35)  # whole groups of four samples, and a remainder
 
 
 def batches() -> dict[str, tuple[Callable[..., Any], list[np.ndarray], int]]:
-    """Every kernel that takes samples, with arguments of which the first so many are samples."""
+    """Every kernel that takes samples, with its arguments and how many of the first ones are samples."""
     rng, chain = (
         np.random.default_rng(1),
         Chain([pose((0.3, -0.2 * k, 0.1, 0.1, 0.2, 0.3)) for k in range(5)], [0, 1, 0, 0]),
@@ -68,7 +68,7 @@ EVERY = pytest.mark.parametrize("name", CALLS)
 
 @EVERY
 def test_every_kind_of_input_gives_the_same(name: str) -> None:
-    """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
+    """Read-only, non-contiguous and big-endian arrays, and lists; no input is changed."""
     call, given, _ = CALLS[name]
     plain, wanted = [array.copy() for array in given], call(*given)
     for array in plain:
@@ -102,7 +102,7 @@ def test_a_missing_number_stays_in_its_sample(name: str) -> None:
 
 @EVERY
 def test_results_go_into_arrays_of_the_caller(name: str) -> None:
-    """Writable float64 that shares no memory with a sample."""
+    """Writable float64 arrays that share no memory with a sample."""
     call, given, own = CALLS[name]
     wanted = call(*given)
     out = [np.full(array.shape, np.nan) for array in flat(wanted)]
@@ -126,7 +126,7 @@ def test_results_go_into_arrays_of_the_caller(name: str) -> None:
 @pytest.mark.parametrize("name", KERNELS)
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 6, 7, 32])
 def test_batches_of_any_size_are_loops(name: str, n: int) -> None:
-    """Below, at and around whole groups of lanes."""
+    """Batch sizes below, at and around whole groups of lanes."""
     chain = arm(n)
     q = np.random.default_rng(1).uniform(-4, 4, (17, n))
     kernel = getattr(chain, name)
@@ -149,7 +149,7 @@ def test_threads_give_the_same_bits(name: str, threads: int) -> None:
 @pytest.mark.parametrize("shift", [0, 1], ids=["streamed", "odd address"])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_large_outputs_hold_the_same_bits(shift: int, threads: int) -> None:
-    """Beyond 16 MB the results go past the caches, from an address that allows it."""
+    """Beyond 16 MB, results bypass the caches, starting at an address that allows it."""
     chain, count = arm(6), 125_003
     q = np.random.default_rng(3).uniform(-4, 4, (count, 6))
     T = np.full(16 * count + shift, np.nan)[shift:].reshape(count, 4, 4)
@@ -165,7 +165,7 @@ def test_large_outputs_hold_the_same_bits(shift: int, threads: int) -> None:
 @pytest.mark.parametrize("name", KERNELS)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -2e6, 1e6 + 1, 4e15])
 def test_bad_and_far_values_stay_in_their_sample(name: str, bad: float) -> None:
-    """Whatever its place among the lanes, and whatever its neighbours."""
+    """For any place among the lanes and any neighbours."""
     chain = Chain(np.tile(np.eye(4), (6, 1, 1)), np.zeros(5))
     clean = np.random.default_rng(5).uniform(-4, 4, (11, 5))
     kernel = getattr(chain, name)

@@ -1,4 +1,4 @@
-"""`Chain`: against its oracle, by the textbook; batches, and arguments."""
+"""`Chain`: against its oracle and the textbook; batches and arguments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from armlab.kernels import Chain
 
 from .. import oracles
 
-METHODS = {  # name: arguments out of the inputs below
+METHODS = {  # name: arguments from the inputs below
     "forward": ("q",),
     "jacobian": ("q",),
     "forward_jacobian": ("q",),
@@ -139,7 +139,7 @@ def test_wrong_arguments(
     [("rnea", (4,)), ("rigid_regressor", (4, 40))],
 )
 def test_out_apart_from_the_parameters(name: str, size: tuple[int, ...]) -> None:
-    """The next sample would be computed with other parameters."""
+    """Otherwise the next sample would use overwritten parameters."""
     chain, memory = kernels.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4)), np.zeros(200)
     parameters = {"gravity": memory[:3], "pi": memory[:40].reshape(4, 10)}
     arguments = [parameters.get(argument, np.zeros(4)) for argument in METHODS[name]]
@@ -157,7 +157,7 @@ def test_momentum_into_arrays_apart(arm: Any, inputs: dict[str, np.ndarray]) -> 
 @pytest.mark.parametrize("joint", [0, 1, 2])
 @pytest.mark.parametrize("name", ["forward", "jacobian", "jacobian_derivative"])
 def test_a_joint_that_is_missing_shows(name: str, joint: int, prismatic: bool) -> None:
-    """Also where the result depends on no joint: all axes are one, with the tool on it."""
+    """Also where the result depends on no joint: all axes coincide, with the tool on them."""
     q = np.where(np.arange(3) == joint, np.nan, 0.5)
     chain = kernels.Chain(np.tile(np.eye(4), (4, 1, 1)), [prismatic] * 3)
     arguments = (q, np.ones(3)) if name == "jacobian_derivative" else (q,)
@@ -234,7 +234,7 @@ def test_chain_is_immutable_and_pickles() -> None:
 
 @pytest.fixture
 def patient_threads() -> Iterator[None]:
-    """No thread asks another for the interpreter: it runs on until it lets go by itself."""
+    """No thread asks for the interpreter: the thread that holds it runs until it releases it."""
     interval = sys.getswitchinterval()
     sys.setswitchinterval(100.0)
     yield
@@ -252,7 +252,7 @@ def test_batches_let_other_threads_run() -> None:
         done.append(True)
 
     thread = Thread(target=work)
-    thread.start()  # returns when the worker lets go of the interpreter
+    thread.start()  # returns when the worker releases the interpreter
     assert not done
     thread.join()
     assert done

@@ -1,4 +1,4 @@
-"""Contact wrench sample by sample, with accelerations and by the momentum: against their oracles, and laws."""
+"""Sample-by-sample contact wrench from accelerations and from momentum: against the oracles, and laws."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "int
 
 
 def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tuple[object, ...]) -> tuple[Any, Any]:
-    """The same estimator compiled and as its oracle, with every kind of covariance."""
+    """An estimator, compiled and as its oracle, with every kind of covariance."""
     c, made = model.covariance, []
     for module in (kernels, oracles):
         chain = module.Chain(model.frames, model.prismatic)
@@ -38,7 +38,7 @@ def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tupl
 
 
 def doubts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns of links, of its rotor and of friction for every joint but the last, their covariance, and means."""
+    """Link, rotor and friction columns of every joint but the last, with their covariance and means."""
     rng, columns = np.random.default_rng(0), np.full((7, 12), -1.0)
     for i in range(6):
         links = np.sort(rng.choice(np.arange(10 * i, 70), 9 - i, replace=False))
@@ -55,8 +55,8 @@ def twins(
     return both(model, "WrenchEstimator", extra, own)
 
 
-# Torque error and its variance to 1e-12 of their scale; what passes a solution of equations to 1e-11, without a prior
-# to 1e-8; HiGHS, which the reference asks for intervals, is exact to 1e-7.
+# Torque error and its variance agree to 1e-12 of their scale; results of a linear solve to 1e-11, without a prior to
+# 1e-8; HiGHS, which the reference uses for intervals, is exact to 1e-7.
 ACCURACY = {"map": 1e-11, "bounded": 1e-9, "interval": 1e-9, "ls": 1e-8, "lund": 1e-11, "ols": 1e-8}
 
 
@@ -68,7 +68,7 @@ def test_estimators_agree(model: SimpleNamespace, excited: Table, method: str, p
     dt, tau = np.array(log.dt), np.array(log["tau"])
     dt[long], dt[gap] = 0.02, 0.5
     tau[broken, 2] = np.nan
-    tau[huge, 1] = 1e200  # one that would stay in the filter for ever
+    tau[huge, 1] = 1e200  # this would stay in the filter permanently
     compiled, plain = twins(model, METHODS.index(method), point)
     arguments = log["q"], log["qd"], tau, dt
     outputs = compiled.run(*arguments), plain.run(*arguments)
@@ -77,7 +77,7 @@ def test_estimators_agree(model: SimpleNamespace, excited: Table, method: str, p
             assert a is None
             continue
         if name in ("flags", "active"):
-            infeasible = (outputs[0][5] & 8) > 0  # then each names joints by its own proof of the contradiction
+            infeasible = (outputs[0][5] & 8) > 0  # each then names joints from its own proof of infeasibility
             assert np.array_equal(a[~infeasible], b[~infeasible]), name
             continue
         accuracy = {"error": 1e-12, "variance": 1e-12, "interval": 1e-7}.get(name, ACCURACY[method])
@@ -106,7 +106,7 @@ WAYS = {"observer": (False, False), "kf": (True, False), "kf with bias": (True, 
 
 
 def momentum_twins(model: SimpleNamespace, way: str, point: np.ndarray | None = None) -> tuple[Any, Any]:
-    """The same of the momentum, with warm-up."""
+    """A momentum estimator, compiled and as its oracle, with warm-up."""
     rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
     warm_up = np.tile([[0.2], [-0.3], [60.0], [1.0], [0.1]], 7)
     memory, qd_noise, leak = np.linspace(0.02, 0.05, 7), np.linspace(1e-3, 2e-3, 7), np.linspace(0, 0.5, 6)
@@ -117,7 +117,7 @@ def momentum_twins(model: SimpleNamespace, way: str, point: np.ndarray | None = 
 @pytest.mark.parametrize("point", [None, POINT], ids=["wrench", "point"])
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_momentum_estimators_agree(model: SimpleNamespace, excited: Table, way: str, point: np.ndarray | None) -> None:
-    """In motion, at rest, over a lost sample, over a gap, over samples that are broken, and after a tare."""
+    """In motion, at rest, over a lost sample, over a gap, over invalid samples, and after a tare."""
     log = excited.between(0.0, 0.24)
     q, qd, tau, dt = (np.array(a) for a in (log["q"], log["qd"], log["tau"], log.dt))
     dt[12], dt[20] = 0.008, 0.5
@@ -159,7 +159,7 @@ def test_step_returns_what_run_stacks_and_reset_forgets(model: SimpleNamespace, 
 
 
 def known(n: int = 7) -> dict[str, Any]:
-    """What every estimator is given, of the right shapes."""
+    """Arguments common to all estimators, with the right shapes."""
     drive = kernels.Drive(np.full((11, n), 0.5), np.ones((3, n)))
     rigid = {"gravity": np.zeros(3), "links": np.zeros((7, 10)), "rotor": np.ones(7), "drive": drive}
     return rigid | {"gains": np.ones(7), "gain_variance": 1.0, "covariance": np.ones((5, 7))}
@@ -178,7 +178,7 @@ OWN: dict[str, tuple[type, dict[str, Any], dict[str, Any]]] = {
 
 @pytest.mark.parametrize("kind", OWN)
 def test_wrong_parameters_are_refused(model: SimpleNamespace, kind: str) -> None:
-    """Of another shape; and below zero or not finite where they are variances, gains or rates."""
+    """Wrong shapes; also negative or non-finite variances, gains or rates."""
     (make, own, flags), chain = OWN[kind], kernels.Chain(model.frames, model.prismatic)
     good = known() | own
     for name, value in good.items():
@@ -231,7 +231,7 @@ def van_loan(G: np.ndarray, Qp: np.ndarray, q: np.ndarray, a: np.ndarray, h: flo
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 1e-9, 1e-3, 0.5, 4.9, 5.1, 80.0, 900.0]), st.booleans())
 @settings(max_examples=60)
 def test_a_step_without_information_is_van_loans(seed: int, leak: float, mixed: bool) -> None:
-    """A measurement that says nothing leaves the prediction: transition and noise to 1e-12 of their scale."""
+    """An uninformative measurement leaves the prediction unchanged: transition and noise to 1e-12 of their scale."""
     rng = np.random.default_rng(seed)
     n, m = 4, 3
     G, Qp, q = rng.standard_normal((n, m)), rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, m)
@@ -289,7 +289,7 @@ def test_a_wrench_held_over_one_step_is_the_static_estimate() -> None:
 
 
 def test_external_torques_in_place_of_the_wrench_make_the_observer() -> None:
-    """With G = 1 and the gain of the steady state, ``z <- z + k ((p - p_before) - h (u + z))``, to 1e-9."""
+    """With G = 1 and the steady-state gain, ``z <- z + k ((p - p_before) - h (u + z))``, to 1e-9."""
     rng = np.random.default_rng(5)
     n, R = 3, np.zeros((3, 3))
     arguments = np.eye(n), H, np.full(n, 1e-2), np.full(n, 20.0), np.zeros(n)
@@ -312,7 +312,7 @@ def test_external_torques_in_place_of_the_wrench_make_the_observer() -> None:
 
 
 def test_its_covariance_is_that_of_its_errors() -> None:
-    """NEES of a wrench that walks at random, torque and velocity noise being what the filter is told: 0.95 to 1.05."""
+    """NEES of a random-walk wrench with the torque and velocity noise that the filter assumes: 0.95 to 1.05."""
     robot = robots.load("yumi_left")
     rng = np.random.default_rng(2)
     J = robot.chain.jacobian(robot.q_home)

@@ -1,4 +1,4 @@
-"""The compiled extension: what is said without it, its stub, and the same bits from every compiler."""
+"""The compiled extension: the error without it, its stub, and the same bits from every compiler."""
 
 from __future__ import annotations
 

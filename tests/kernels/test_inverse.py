@@ -1,6 +1,6 @@
 """Inverse kinematics of poses and along paths: bounds, reasons and refusals.
 
-Solutions, reasons and objectives have their laws in tests/kinematics, the errors reported theirs in tests/numerics.
+Laws of solutions, reasons and objectives are in tests/kinematics, those of the reported errors in tests/numerics.
 """
 
 from __future__ import annotations

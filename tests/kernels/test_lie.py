@@ -1,4 +1,4 @@
-"""The Lie groups: broadcasting, far turns, and refusals; values have their tables (tests/numerics) and laws."""
+"""Lie groups: broadcasting, large rotations and refusals; values are covered by tables (tests/numerics) and laws."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from armlab import kernels
 from armlab.errors import ShapeError
 
-FUNCTIONS = {  # name, with what is chosen beside the arrays: kinds of the arguments
+FUNCTIONS = {  # name and options: kinds of the arguments
     "so3_exp": ("w",),
     "so3_log": ("R",),
     "so3_angle": ("R", "R2"),
@@ -62,7 +62,7 @@ def inputs(batch: tuple[int, ...], turns: np.ndarray, seed: int) -> dict[str, np
 
 
 def function(module: Any, name: str) -> Callable[..., np.ndarray]:
-    """The function of a name in `FUNCTIONS`."""
+    """The function for a name in `FUNCTIONS`."""
     name, _, chosen = name.partition(" ")
     if chosen == "screw":
         return partial(getattr(module, name), screw=True)
@@ -157,7 +157,7 @@ def test_a_missing_number_passes_and_hides_nothing_else() -> None:
 
 
 def test_far_turns_have_values() -> None:
-    """Beyond the range of a square, lengths come from the C library; ``J w = w`` and ``J hat(w) = exp(w) - I``."""
+    """Where squares over- or underflow, lengths come from the C library; ``J w = w`` and ``J hat(w) = exp(w) - I``."""
     w = np.array([[1e200, 0, 0], [3e-170, 4e-170, 0], [0, 0, -1e8], [0.1, 0.2, 0.3]])
     R, J = kernels.so3_exp(w), kernels.so3_left_jacobian(w)
     assert np.isfinite([R, J]).all()

@@ -62,7 +62,8 @@ def test_catching_up_does_not_overshoot() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_arm_brakes_before_either_end(sign: float) -> None:
-    """At 1 rad/s and 10 rad/s2 over 0.5 rad: acceleration acts, then nothing, then braking, then the arm rests."""
+    """At 1 rad/s and 10 rad/s2 over 0.5 rad: the acceleration limit acts, then none, then braking, then the arm
+    rests."""
     sent, acted, forward = np.zeros((3, 1)), [], np.array([sign])
     for _ in range(300):
         before = sent
@@ -76,7 +77,7 @@ def test_an_arm_brakes_before_either_end(sign: float) -> None:
 
 @pytest.mark.parametrize(("behind", "nearer"), [(4.0, 2.0), (1.5, 1.0), (7.5, 3.0)])
 def test_catching_up_with_a_reference_that_moves(behind: float, nearer: float) -> None:
-    """By hand, in a T^2 and a T: 2 + 2^2 / 2 = 4, 1 + 1^2 / 2 = 1.5; the speed of the reference is added."""
+    """By hand, in units of a T^2 and a T: 2 + 2^2 / 2 = 4, 1 + 1^2 / 2 = 1.5; the speed of the reference is added."""
     asked, step = np.array([0.2]), 10.0 * T
     sent = np.stack((asked - behind * step * T, *np.full((2, 1), 0.1 + nearer * step)))
     moved, clamped, *_ = kernels.limit_reference(sent, bounds(1), T, asked + 0.1 * T, asked)
@@ -94,7 +95,7 @@ def test_speeds_are_scaled_by_the_limit_of_each_joint() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_is_just_within_the_limits_is_sent_as_it_is(sign: float) -> None:
-    """The slack for rounding only forgives: it clamps nothing that is within, and little that is beyond."""
+    """The rounding slack never clamps values within the limits, and lets values just beyond them pass."""
     step = 10.0 * T
     for wanted, last, bits in (
         (step, 0.0, 0), (step - 2e-11, 0.0, 0), (step + 1e-9, 0.0, 4), (1.0 - 5e-10, 1.0, 0)
@@ -187,7 +188,7 @@ def test_refusals_hold(arguments: tuple[list[float] | None, ...], refused: int) 
 
 @st.composite
 def commands(draw: st.DrawFn) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
-    """Anything a controller may return, in pieces that go on for a while."""
+    """Anything a controller may return, in segments of several samples."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     found: list[tuple[np.ndarray | None, np.ndarray | None]] = []
     for kind in draw(
@@ -239,7 +240,7 @@ def test_an_arm_outside_its_limits_may_only_come_back() -> None:
 
 
 def test_at_an_end_the_speed_sent_is_that_of_the_position_sent() -> None:
-    """Within the tolerance of rounding, a speed may lead beyond the end; the position stops at it."""
+    """Within the rounding tolerance, a speed may lead beyond the limit; the position stops at it."""
     q = 1.0 - 1e-13
     sent, *_ = kernels.limit_reference(np.array([[q], [0.0], [0.0]]), bounds(1), T, None, None, np.array([6e-11]))
     assert sent[0, 0] == 1.0

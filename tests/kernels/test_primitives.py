@@ -1,4 +1,4 @@
-"""Movement primitives, of orientations too, and their control: against oracles and closed forms; refusals."""
+"""Movement primitives, including orientations, and their control: against oracles and closed forms; refusals."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_rollout_is_the_reference(case: dict[str, Any], K: int | None, own: bool
     ours, wanted = kernels.Primitive(*arguments(**case)), oracles.Primitive(*arguments(**case))
     rng = np.random.default_rng(case["seed"])
     if case["phase"] == "position":
-        longest, K = min(longest, 0.05 / case["alpha"]), K and min(K, 2)  # few of the reference's slow steps
+        longest, K = min(longest, 0.05 / case["alpha"]), K and min(K, 2)  # few steps for the slow reference
     n, t = case["n"], np.cumsum(rng.uniform(0.1, 1.0, 6)) * longest
     parts = rng.normal(size=(4, *(() if K is None else (K,)), n))
     weights = rng.normal(size=(K or 1, case["m"], n)) if own else None
@@ -110,7 +110,7 @@ def test_design_is_the_basis_in_a_corner_of_zeros(phase: str) -> None:
 
 
 def test_kernels_are_exact_to_the_last_digits() -> None:
-    """Their exponential is the core's own: every size of it, from 1 down to where kernels are left out."""
+    """They use our own exponential; it is tested from 1 down to where kernels are dropped."""
     centres = np.array([0.0, 1.0])
     p = kernels.Primitive(centres, np.array([1.0, 0.11]), np.zeros((2, 1)), 25.0, 156.25, 1.0, 0.25, "canonical")
     x = np.linspace(0.0, 2.0, 2001)
@@ -165,7 +165,7 @@ def primitive(module: Any, weights: Any, alpha: float = 25.0, stiffness: float =
     return module.Primitive(centres, widths, np.reshape(weights, (3, 1)), alpha, stiffness, 1.0, pace, "time")
 
 
-SPRINGS = {  # damping and stiffness; near critical both sides, for the series of cosh and cos
+SPRINGS = {  # damping and stiffness; near critical on both sides, for the cosh and cos series
     "critical": (25.0, 156.25),
     "nearly, above": (25.0, 156.25 - 1e-6),
     "nearly, below": (25.0, 156.25 + 1e-6),
@@ -242,7 +242,8 @@ def test_another_primitive_or_step_is_refused() -> None:
 
 
 def test_order_is_four_where_a_force_turns_the_axis() -> None:
-    """A soft spring, so that steps are long for the rotation; without ``theta x (theta x z) / 12`` it is three."""
+    """A soft spring, so that steps are long for the rotation; without ``theta x (theta x z) / 12`` the order is
+    three."""
     weights = np.tile([30.0, -40.0, 20.0], (4, 1))
     p = kernels.Primitive(np.linspace(0.0, 1.0, 4), np.full(4, 0.3), weights, 1.0, 1.0, 1.0, 1.0, "canonical")
     start, goal = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.8, 0.0, 0.6, 0.0])
@@ -258,7 +259,7 @@ SPEED = np.array([1.0, 0.7, -2.0])
 
 
 def law_of(side: Any, phase: str, n: int, m: int, seed: int, change: dict[int, Any] | None = None) -> Any:
-    """A law of either side, with some of its arguments (by number, from tau = 0) changed."""
+    """A control law of either module, with some arguments (by number, from tau = 0) changed."""
     draw = np.random.default_rng(seed)
     centres, weights = np.linspace(0.05, 1.0, m), 30 * draw.normal(size=(m, n))
     primitive = side.Primitive(centres, np.full(m, 0.08), weights, 25.0, 156.25, 1.0, 0.4, phase)

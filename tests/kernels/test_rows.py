@@ -35,7 +35,7 @@ def pack(layout: rows.RowLayout) -> Any:
 
 
 def tried(pack: Any, state: Any, command: Any, tick: Any) -> bytes | tuple[type, str]:
-    """Return the row, or the refusal; the sentence of a refusal that is ours."""
+    """Return the row, or the type of error and, for our own errors, the message."""
     try:
         return pack(state, command, tick)
     except ShapeError as error:
@@ -45,7 +45,7 @@ def tried(pack: Any, state: Any, command: Any, tick: Any) -> bytes | tuple[type,
 
 
 def values(rng: np.random.Generator, size: int) -> Any:
-    """Return what may stand where an array of some size is expected: it, or what is nearly it, or nothing like it."""
+    """Return a candidate for an array of a given size: valid, nearly valid, or something entirely different."""
     plain = rng.normal(size=size)
     return [
         plain, plain, plain, plain, None, np.zeros(0), [], plain.tolist(), tuple(plain), plain.astype(">f8"),
@@ -62,7 +62,7 @@ def scalar(rng: np.random.Generator, usual: Any) -> Any:
 
 
 class Known(Mapping):
-    """A mapping that is no dict."""
+    """A mapping that is not a dict."""
 
     def __init__(self, data: dict[str, Any]) -> None:
         self.data = data
@@ -85,7 +85,7 @@ def record(rng: np.random.Generator) -> Any:
 
 
 def drawn(rng: np.random.Generator) -> tuple[Any, Any, Any]:
-    """Return a row in which one or two things are odd, mostly."""
+    """Return a row in which usually one or two values are odd."""
     exact, odd = {}, rng.random() * 0.3
 
     def array(size: int) -> Any:
@@ -222,7 +222,7 @@ def drawn_values(layout: RowLayout, rng: np.random.Generator, most: float) -> by
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("count", [1, 7, 40])  # with many the compiled kernel lets the interpreter go
+@pytest.mark.parametrize("count", [1, 7, 40])  # with many, the compiled kernel releases the interpreter
 def test_index_entries_point_at_the_records(encoder: Any, logged: RowLayout, count: int) -> None:
     rng = np.random.default_rng(count)
     for first, at in ((None, 0), (5, 77), (0xFFFFFFFE, 0), (-3, 1 << 40)):

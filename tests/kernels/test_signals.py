@@ -1,4 +1,4 @@
-"""The signal operator against its oracle: outputs, counters and sentences."""
+"""The signal operator against its oracle: outputs, counters and messages."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from armlab.wire.egm import Drop, Packet, Reference
 
 
 def test_egm_of_axes_that_are_none() -> None:
-    """What is read and written is compared with protobuf in tests/wire/egm."""
+    """Reading and writing are compared with protobuf in tests/wire/egm."""
     for order, scale in (([0, 0], np.ones(2)), ([0, 2], np.ones(2)), ([0], np.ones(2))):
         with pytest.raises(ShapeError, match=r"each of \d axes once"):
             kernels.EgmMessages(Packet, Drop, order, scale, np.zeros(0), False)
@@ -48,7 +48,7 @@ def pair() -> Iterator[tuple[Any, Any, tuple[str, int]]]:
     for one in (sender, receiver):
         one.close()
         assert one.receive() is None
-        assert one.errors  # a closed one reads nobody else's datagrams
+        assert one.errors  # a closed one does not read others' datagrams
 
 
 def test_they_arrive_in_order_with_stamps(pair: Any) -> None:
@@ -132,7 +132,7 @@ def like(number: int, values: bytes) -> bytes:
 
 
 def copied(data: bytes | memoryview, first: list[int], count: list[int]) -> tuple[list[bool], list[np.ndarray]]:
-    """Return which channels the backend has copied, and the rows of those."""
+    """Return which channels the backend has copied, and their rows."""
     arrays = {
         number: [
             np.full(ROWS, 7, "<u4"),
@@ -170,7 +170,7 @@ MESSAGES = st.one_of(
 def test_any_records_are_copied_whole_or_not_at_all(
     records: list[bytes], rest: bytes, first: int, count: list[int]
 ) -> None:
-    """A channel fits when it has as many messages as expected, all like the example, and nothing is torn before."""
+    """A channel fits when it has as many messages as expected, all like the example, and no earlier record is torn."""
     fits, arrays = copied(b"".join(records) + rest, [first, 0], count)
     for number, at, wanted, fit in zip(EXAMPLES, (first, 0), count, fits, strict=True):
         heads = [one for one in records if one[0] == 5 and len(one) >= 31 and one[9:11] == struct.pack("<H", number)]

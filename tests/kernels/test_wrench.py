@@ -1,4 +1,4 @@
-"""The wrench of one instant: every method against another way to the same answer, and what a bound on friction buys."""
+"""The wrench at one instant: every method against an independent solution, and the benefit of a friction bound."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def cost(x: np.ndarray, A: np.ndarray, error: np.ndarray, variance: np.ndarray, 
 
 
 def by_others(A: np.ndarray, error: np.ndarray, variance: np.ndarray, bound: np.ndarray) -> list[np.ndarray]:
-    """Return the wrench by OSQP and by an active-set solver of SciPy.
+    """Return the wrench from OSQP and from an active-set solver of SciPy.
 
-    Both minimise ``(error - d)^T S^-1 (error - d)`` over |d| <= bound, S = A^T C A + V, which is what is left when the
-    most probable wrench for a given d is put in.
+    Both minimise ``(error - d)^T S^-1 (error - d)`` over |d| <= bound, S = A^T C A + V, which remains after
+    substituting the most probable wrench for a given d.
     """
     S = A.T @ (PRIOR[:, None] * A) + np.diag(variance)
     s = np.sqrt(variance)
@@ -72,7 +72,7 @@ def test_without_a_bound_it_is_the_most_probable_wrench() -> None:
 
 
 def test_newton_finds_the_minimum_that_a_quadratic_programme_finds() -> None:
-    """300 problems: KKT below 1e-8 everywhere; two other solvers, asked for 50 of them, agree within 1e-3 N."""
+    """300 problems: KKT below 1e-8 everywhere; two other solvers, run on 50 of them, agree within 1e-3 N."""
     iterations = []
     for k, (A, _, _, variance, bound, error) in enumerate(problems(300, 2)):
         x, _, active, rounds, kkt, _ = solve_wrench(A, error, variance, bound, PRIOR, BOUNDED)
@@ -87,10 +87,10 @@ def test_newton_finds_the_minimum_that_a_quadratic_programme_finds() -> None:
 
 
 def test_the_clip_iteration_creeps_to_the_same_minimum() -> None:
-    """Where it converges at all within 20000 rounds it agrees; its median is hundreds of rounds, never a handful."""
+    """Where it converges within 20000 iterations, it agrees; the median is hundreds of iterations, not a handful."""
     rounds, arrived = [], 0
     for A, _, _, variance, bound, error in problems(40, 3):
-        variance = variance * 25.0  # stiff problems take it a million rounds
+        variance = variance * 25.0  # stiff problems need a million iterations
         x, _, _, count, kkt, _ = solve_wrench(A, error, variance, bound, PRIOR, CLIP)
         best = solve_wrench(A, error, variance, bound, PRIOR, BOUNDED)[0]
         assert cost(x, A, error, variance, bound) >= cost(best, A, error, variance, bound) - 1e-9
@@ -178,7 +178,7 @@ def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(method: int) -> N
 
 
 def test_without_digits_left_there_is_no_wrench() -> None:
-    """Seven joints tell six unknowns: without noise their covariance has rank six, and its inverse has no digit."""
+    """Seven joints observe six unknowns: without noise their covariance has rank six, its inverse no correct digit."""
     A, _, _, variance, bound, error = next(problems(1, seed=0))
     for backend in (kernels, oracles):
         x, P, *_, singular = backend.solve_wrench(A, error, 1e-40 * variance, bound, PRIOR, MAP)

@@ -1,4 +1,4 @@
-"""Every function of a posture refuses the same wrong postures with a sentence, and keeps NaN where it was given."""
+"""Every function of a posture refuses the same invalid postures with a message, and keeps NaN where it was given."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_wrong_joint_count(function: Callable, shape: tuple[int, ...]) -> None:
 @named(OF_BATCHES)
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_nan_stays_in_its_sample(function: Callable, bad: float) -> None:
-    """Of a batch with one broken sample the others are what they are without it."""
+    """In a batch with one broken sample, the other samples do not change."""
     q = np.random.default_rng(0).uniform(ROBOT.q_min, ROBOT.q_max, (9, 7))
     broken = q.copy()
     broken[4, 2] = bad
@@ -70,7 +70,7 @@ def test_nan_stays_in_its_sample(function: Callable, bad: float) -> None:
 @pytest.mark.parametrize("part", ["pose", "position", "rotation"])
 @pytest.mark.parametrize("prismatic", [False, True])
 def test_nothing_is_known_of_a_posture_that_is_not(part: Any, prismatic: bool) -> None:
-    """Of one joint the Jacobian is the same everywhere; where that joint is NaN it is NaN all the same."""
+    """The Jacobian of a single joint is constant, but it is NaN where the joint is NaN."""
     robot = robots.from_dh("one", 0.0, [0.0], 0.0, prismatic=[prismatic], q_min=[-1.0], q_max=[1.0])
     q = np.array([[0.5], [np.nan]])
     values = [kinematics.manipulability(robot, q, part), kinematics.singular_values(robot, q, part)]
@@ -150,7 +150,7 @@ def test_arguments_of_the_inverse(arguments: dict[str, Any], error: type[Excepti
 
 
 def test_a_posture_without_its_objective() -> None:
-    """It would do nothing."""
+    """The posture would have no effect."""
     objectives: tuple[Any, ...] = (None, "limits", "mid_range", "manipulability")
     for objective in objectives:
         for function, T in ((kinematics.inverse, goal()), (kinematics.inverse_path, goal()[None])):

@@ -28,7 +28,7 @@ ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}
 PARTS: Any = list(ROWS)
 
 
-ROUNDED = 4 * np.finfo(float).eps  # singular values are exact to some roundings of the largest, 1 m here
+ROUNDED = 4 * np.finfo(float).eps  # singular values are exact to a few roundings of the largest, 1 m here
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_two_links_have_the_textbook_value(planar: Robot) -> None:
 
 @pytest.mark.parametrize("bend", [1e-3, 1e-6, 1e-9, 1e-12])
 def test_near_a_singular_posture_it_is_as_exact_as_the_jacobian(planar: Robot, bend: float) -> None:
-    """The root of det(J^T J) would be wrong by 1e-8 here."""
+    """The square root of det(J^T J) would be wrong by 1e-8 here."""
     for side in (1, -1):
         w = manipulability(planar, [0.7, side * bend], "position")
         assert w == pytest.approx(0.2 * np.sin(bend), abs=ROUNDED)
@@ -82,7 +82,7 @@ def test_gradient_equals_central_differences(name: str, part: Any, planar: Robot
 
 
 def test_gradient_needs_no_division(planar: Robot) -> None:
-    """At the kink it is one of the slopes, l1 l2."""
+    """At the kink, the gradient is one of the two slopes, l1 l2."""
     slope = np.abs(manipulability_gradient(planar, [0.3, 0.0], "position"))
     np.testing.assert_allclose(slope, [0, 0.2], rtol=0, atol=1e-15)
 
@@ -111,7 +111,7 @@ def test_force_ellipsoid_is_reciprocal(robot: Robot, planar: Robot) -> None:
     fast, strong = ellipsoid(robot, q), ellipsoid(robot, q, kind="force")
     np.testing.assert_array_equal(fast.axes, strong.axes)
     ends = strong.axes[:, fast.lengths > 1e-9] * strong.lengths[fast.lengths > 1e-9]
-    torques = jacobian(robot, q)[:3].T @ ends  # each needs joint torques of length one
+    torques = jacobian(robot, q)[:3].T @ ends  # each needs joint torques of unit norm
     np.testing.assert_allclose(np.linalg.norm(torques, axis=0), 1.0, rtol=0, atol=1e-12)
     assert np.isinf(ellipsoid(planar, [0.1, 0.2], kind="force").lengths[2])
 
@@ -124,7 +124,7 @@ def posture(seed: int, robot: Robot = YUMI) -> np.ndarray:
 
 
 def pose_errors(robot: Robot, q: np.ndarray) -> tuple[float, float]:
-    """Largest distance and turn of the tool from the first pose, without the code under test."""
+    """Largest distance and rotation of the tool from the first pose, computed without the code under test."""
     T = forward(robot, q)
     turn = lie.so3.log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
     return np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max(), np.linalg.norm(turn, axis=1).max()
@@ -184,7 +184,7 @@ def test_a_six_joint_arm_turns_about_its_tool_axis() -> None:
 
 
 def test_of_several_dimensions_one_is_chosen() -> None:
-    """Position only: 7 joints leave four dimensions."""
+    """Position only: 7 joints leave four dimensions of self-motion."""
     q, wish = posture(0), np.array([0, 0, 1.0, 0, 0, 0, 0])
     walk = self_motion(YUMI, q, task="position", direction=wish, length=0.5, points=6)
     assert pose_errors(YUMI, walk.q)[0] <= 1e-9

@@ -27,13 +27,13 @@ YUMI = "yumi_left"
 
 
 def reachable(robot: Robot, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Postures uniform inside the limits, and their poses."""
+    """Postures distributed uniformly within the limits, and their poses."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max, (count, robot.n))
     return q, forward(robot, q)
 
 
 def errors(robot: Robot, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance and angle from the tool to the goals, not by the solver's own account."""
+    """Distance and angle from the tool to the goals, computed independently of the solver."""
     found = forward(robot, q)
     return np.linalg.norm(found[..., :3, 3] - T[..., :3, 3], axis=-1), lie.so3.angle(found[..., :3, :3], T[..., :3, :3])
 
@@ -62,7 +62,7 @@ def test_numeric_example_of_the_ancestor() -> None:
 
 @pytest.mark.parametrize("name", ["yumi_left", "irb2400", "ur5e"])
 def test_convergence_is_quadratic(name: str) -> None:
-    """From within 0.1 rad of regular postures the error falls below 1e-11 in at most 6 iterations, mostly in 4."""
+    """Starting within 0.1 rad of regular postures, the error falls below 1e-11 in at most 6 iterations, mostly in 4."""
     robot, rng = robots.load(name), np.random.default_rng(4)
     q, T = reachable(robot, 1000, seed=4)
     away = rng.normal(size=q.shape)
@@ -94,7 +94,7 @@ def test_history_is_of_the_start_that_gave_the_result() -> None:
 
 
 def test_tasks_that_leave_joints_free() -> None:
-    """Errors of what is asked for are within the tolerance; what is not asked for is NaN."""
+    """Errors of the task's components are within the tolerance; those of all others are NaN."""
     robot, axis = robots.load("irb2400"), np.array([0.6, 0.0, -0.8])
     _, T = reachable(robot, 100, seed=3)
     for task in TASKS:
@@ -126,7 +126,7 @@ def test_a_batch_is_a_loop() -> None:
 
 @st.composite
 def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
-    """Random robots of 2 to 9 joints, revolute and prismatic, with limits, without, or with some; and a posture."""
+    """Random robots of 2 to 9 joints, revolute and prismatic, with all, some or no limits; and a posture."""
     n = draw(st.integers(2, 9))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     table = rng.uniform(-np.pi, np.pi, (4, n)) * [[1], [0.3], [0.3], [1]]
@@ -146,7 +146,7 @@ def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
 @given(chains(), st.sampled_from(TASKS), st.booleans())
 @settings(max_examples=40)
 def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> None:
-    """The result is finite, inside the limits and tells the truth; the posture itself is found again."""
+    """The result is finite, inside the limits and correctly reported; the posture itself is found again."""
     robot, q = case
     T, axis = forward(robot, q), np.array([0.0, 0.6, 0.8])
     assert inverse(robot, T, q, task=task, axis=axis, starts=1).success  # type: ignore[arg-type]
@@ -164,7 +164,7 @@ def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> No
 
 
 def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Which of these postures' poses are reached again, inside the limits and to 1e-9, by any posture."""
+    """Return which poses of these postures are reached by any posture, inside the limits and to 1e-9."""
     T_base_tool = kinematics.forward(robot, q)
     solution = kinematics.inverse(robot, T_base_tool)
     assert ((solution.q >= robot.q_min) & (solution.q <= robot.q_max)).all()
@@ -179,7 +179,7 @@ def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ARMS_LIBRARY)
 def test_random_poses(name: str) -> None:
-    """Found: all of 10 000 on each of the fourteen arms, after 1.2 to 1.8 starts on average; straight wrists too."""
+    """All 10 000 were found on each of the fourteen arms, after 1.2 to 1.8 starts on average; straight wrists too."""
     robot = robots.load(name)
     q = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (COUNT, robot.n))
     assert solved(robot, q).mean() >= 0.999
@@ -190,14 +190,14 @@ def test_random_poses(name: str) -> None:
 
 @pytest.mark.parametrize("name", ARMS_LIBRARY)
 def test_every_joint_at_a_limit(name: str) -> None:
-    """2^n corners of the box of limits; within 100 starts all were found, but 1 of 128 on the YuMi of the URDF."""
+    """2^n corners of the joint limits: all were found within 100 starts, except 1 of 128 on the URDF YuMi."""
     robot = robots.load(name)
     corners = np.array(list(itertools.product(*zip(robot.q_min, robot.q_max))))
     assert solved(robot, corners).mean() >= 0.98
 
 
 def planar(*lengths: float, **limits: tuple[float, ...]) -> Robot:
-    """Joint axes all along z: what it reaches is known from school."""
+    """All joint axes along z, so that the workspace follows from elementary geometry."""
     zeros = np.zeros(len(lengths))
     return robots.from_dh("planar", zeros, lengths, zeros, zeros, **limits)  # type: ignore[arg-type]
 
@@ -214,7 +214,7 @@ BENT = planar(1.0, 0.5, q_min=(-np.pi, 0.5), q_max=(np.pi, 1.0))
 
 
 @pytest.mark.parametrize(("robot", "T", "q0", "options", "reason", "least"), [
-    # further than the links are long, in front of the shortest reach, beside the plane: distances are known
+    # beyond the links' length, inside the shortest reach, off the plane: distances are known
     (REACH, at(3.0, 0.0), (0.1, 0.2), {}, "out of reach", 1.5),
     (REACH, at(0.2, 0.0), (0.1, 0.2), {}, "out of reach", 0.3),
     (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {}, "out of reach", 0.1),
@@ -223,14 +223,14 @@ BENT = planar(1.0, 0.5, q_min=(-np.pi, 0.5), q_max=(np.pi, 1.0))
     # the elbow would have to bend by 2 rad; at its limit the distance is that of the two circles
     (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {}, "limits", NEAREST),
     (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {"starts": 1}, "limits", 0.0),
-    # the goal lies on the stretched arm: no joint moves towards it, another start gets there
+    # the goal lies on the stretched arm: no joint can move towards it, but another start reaches it
     (REACH, at(1.2, 0.0), (0.0, 0.0), {"starts": 1}, "singular", 0.3),
     (REACH, at(1.2, 0.0), (0.0, 0.0), {}, "solved", 0.0),
     (REACH, forward(REACH, (0.3, 1.0)), (-2.0, 0.5), {"maxiter": 2, "starts": 1}, "iterations", 0.0),
-    (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the last point that it reaches
+    (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the farthest point within reach
 ])  # fmt: skip
 def test_why_not(robot: Robot, T: np.ndarray, q0: tuple, options: dict, reason: str, least: float) -> None:
-    """Where there is no solution the nearest posture comes back, with the true reason."""
+    """Without a solution, the nearest posture is returned with the true reason."""
     result = inverse(robot, T, q0, task="position", **options)
     assert result.reason == reason
     assert bool(result.success) == (reason == "solved")
@@ -255,7 +255,7 @@ def test_unreachable_poses_end_soon_and_stay_finite() -> None:
 
 
 def test_turns_are_taken_back_into_the_limits() -> None:
-    """A joint that may turn more than once: the solution outside the limits is also one inside."""
+    """A joint with more than one revolution: the solution outside the limits has an equivalent inside."""
     robot = planar(1.0, 0.5, q_min=(-4.0, 3.3), q_max=(4.0, 6.0))
     result = inverse(robot, forward(robot, (0.5, 4.0)), (0.4, 3.3), task="position")
     assert result.success
@@ -290,12 +290,12 @@ def test_strict_raises_with_the_result() -> None:
 
 
 def scaled(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Joint positions as -1 to 1 from limit to limit."""
+    """Joint positions scaled to -1 to 1 between the limits."""
     return (2.0 * q - robot.q_max - robot.q_min) / (robot.q_max - robot.q_min)
 
 
 def gradient(robot: Robot, q: np.ndarray, objective: str, task: str) -> np.ndarray:
-    """Gradients (N, n) as the documentation of `inverse` defines the objectives, written down once more."""
+    """Gradients (N, n) of the objectives, implemented again from the documentation of `inverse`."""
     x, slope = scaled(robot, q), 2.0 / (robot.q_max - robot.q_min)
     if objective == "posture":
         return q - robot.q_home
@@ -310,7 +310,7 @@ def gradient(robot: Robot, q: np.ndarray, objective: str, task: str) -> np.ndarr
 
 
 def left_slope(robot: Robot, q: np.ndarray, g: np.ndarray, rows: slice) -> float:
-    """Slope along the self-motion of the joints that are not pressed against a limit, by singular vectors."""
+    """Slope along the self-motion of the joints not held at a limit, from singular vectors."""
     free = np.ones(robot.n, dtype=bool)
     for _ in range(robot.n):
         J = jacobian(robot, q)[rows][:, free]
@@ -358,7 +358,8 @@ def test_objectives_are_better_than_the_plain_solution() -> None:
 
 @pytest.mark.parametrize("name", [YUMI, "panda", "iiwa14"])
 def test_limits_are_avoided(name: str) -> None:
-    """On 99 % of the poses the smallest distance to a limit, over the range, is at least that of the plain solution."""
+    """On 99 % of the poses, the smallest distance to a limit relative to the range is at least that of the plain
+    solution."""
     robot = robots.load(name)
     T = reachable(robot, 400, seed=3)[1]
     near = [np.abs(scaled(robot, inverse(robot, T, objective=o).q)).max(axis=1) for o in ("limits", None)]
@@ -367,7 +368,7 @@ def test_limits_are_avoided(name: str) -> None:
 
 
 def test_the_posture_that_is_asked_for() -> None:
-    """By default where the search starts; one for all goals, or one per goal."""
+    """By default, the start of the search; one for all goals, or one per goal."""
     robot = robots.load(YUMI)
     rng = np.random.default_rng(4)
     q = rng.uniform(0.8 * robot.q_min, 0.8 * robot.q_max, (20, 7))
@@ -396,7 +397,8 @@ def test_five_of_six_joints_for_an_axis() -> None:
 
 
 def test_what_is_left_beside_a_singular_posture_is_called_so() -> None:
-    """A wrist 1e-7 rad from straight: nearly all are solved, and the rest is not called out of reach or limits."""
+    """A wrist 1e-7 rad from straight: nearly all poses are solved, and the rest are not reported as out of reach or
+    limits."""
     robot = robots.load("ur5e")
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 6))
     q[:, 4] = 1e-7
@@ -407,7 +409,7 @@ def test_what_is_left_beside_a_singular_posture_is_called_so() -> None:
 
 
 def gen3() -> Robot:
-    """A Kinova Gen3 of seven axes: the published frames of its joints, with offsets of millimetres at the elbow."""
+    """A seven-axis Kinova Gen3: the published joint frames, with millimetre offsets at the elbow."""
     origins = [
         (np.pi, 0.0, 0.15643),
         (np.pi / 2, 0.005375, -0.12838),
@@ -425,7 +427,7 @@ def gen3() -> Robot:
 
 @pytest.mark.parametrize("bend", ["straight", "nearly", "both"])
 def test_beside_a_singular_elbow_reachable_poses_are_solved_or_called_singular(bend: str) -> None:
-    """First-order steps left 7 of 1000 unsolved, some as "out of reach"; from a start nearby 11, now none."""
+    """First-order steps left 7 of 1000 unsolved, some as "out of reach"; 11 from a nearby start; now none."""
     robot, rng = gen3(), np.random.default_rng(5)
     q = rng.uniform(np.maximum(robot.q_min, -np.pi), np.minimum(robot.q_max, np.pi), (1000, 7))
     q[:, 3] = 0.0 if bend == "straight" else 10.0 ** rng.uniform(-9, -2, 1000)

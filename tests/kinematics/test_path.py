@@ -1,4 +1,4 @@
-"""Paths: accuracy, branches, singular passages, closed paths, and what is said where a path breaks."""
+"""Paths: accuracy, branches, singular passages, closed paths, and reports where a path breaks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def wave(robot: Robot, count: int, seed: int, reach: float = 0.3) -> np.ndarray:
 
 
 def circle(robot: Robot, q: np.ndarray, radius: float, count: int) -> np.ndarray:
-    """Poses twice around a circle through that of a posture, with a swaying rotation; the last is the first."""
+    """Poses twice around a circle through a posture's pose, with a swaying rotation; the last equals the first."""
     angle = np.linspace(0, 4 * np.pi, count)
     T = np.tile(forward(robot, q), (count, 1, 1))
     T[:, 1, 3] += radius * np.sin(angle)
@@ -41,7 +41,7 @@ def circle(robot: Robot, q: np.ndarray, radius: float, count: int) -> np.ndarray
 
 
 def errors(robot: Robot, q: np.ndarray, T: np.ndarray) -> tuple[float, float]:
-    """Largest errors of position and rotation, without the code under test."""
+    """Largest errors of position and rotation, computed without the code under test."""
     there = forward(robot, q)
     turn = lie.so3.log(np.swapaxes(there[:, :3, :3], 1, 2) @ T[:, :3, :3])
     return np.linalg.norm(there[:, :3, 3] - T[:, :3, 3], axis=1).max(), np.linalg.norm(turn, axis=1).max()
@@ -64,7 +64,7 @@ def test_poses_are_reached_inside_the_limits(objective: Any, seed: int) -> None:
 
 
 def test_detours_lead_on_where_the_least_motion_ends() -> None:
-    """Of large motions of seven joints the least motion breaks one in five; of these most are mended."""
+    """Least motion breaks one in five large motions of seven joints; detours repair most of these."""
     broken, mended = 0, 0
     for seed in range(25):
         q = wave(YUMI, 500, seed)
@@ -83,7 +83,7 @@ def test_detours_lead_on_where_the_least_motion_ends() -> None:
     assert mended >= broken / 2
 
 
-ELBOWS = {  # a stretched arm whose Jacobian loses its rank, by Newton steps to J^T u = 0; seeds of a motion through it
+ELBOWS = {  # seed of a motion: stretched arm with a rank-deficient Jacobian on it, from Newton steps to J^T u = 0
     2: [-0.93122445307, -0.90183311819, -0.08261445186, -1.1902285784, 0.28462911968, 0.61356286254, -1.49687788119],
     3: [-1.47830751858, -1.06355786578, 0.91571908093, -1.23373591845, -2.2472460777, 0.013305745, -0.10047342614],
     4: [1.5638315892, -0.57021512563, 1.67886154333, -1.42534095549, 0.63916739911, -0.02572055412, 1.44796793734],
@@ -106,7 +106,7 @@ def test_through_singular_elbows_without_a_jump() -> None:
 
 
 def test_through_a_singular_wrist() -> None:
-    """Joint 5 of the IRB 2400 passes zero, where axes 4 and 6 are one: as they came in they go out."""
+    """Joint 5 of the IRB 2400 passes zero, where axes 4 and 6 coincide; they leave it as they entered."""
     s = np.linspace(-0.4, 0.4, 201)[:, None]
     q = np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.5]) + s * [0.3, -0.2, 0.4, 0.5, 1.0, -0.6]
     path = inverse_path(IRB, forward(IRB, q), q[0], max_step=0.05)
@@ -153,7 +153,7 @@ def test_out_of_reach_is_said_and_left_behind() -> None:
 
 
 def test_limits_end_a_branch_and_another_goes_on() -> None:
-    """Joint 1 would have to go on beyond its limit: after the break it has turned back by almost a turn."""
+    """Joint 1 would have to continue beyond its limit; after the break it has turned back by almost a revolution."""
     robot = replace(
         IRB, q_min=np.where(np.arange(6) == 0, -2.0, IRB.q_min), q_max=np.where(np.arange(6) == 0, 2.0, IRB.q_max)
     )

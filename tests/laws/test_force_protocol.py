@@ -1,4 +1,4 @@
-"""From log to force on the simulated YuMi, as `benchmarks/accuracy.py` measures over twenty seeds: here one of them."""
+"""From log to force on the simulated YuMi, as in `benchmarks/accuracy.py` over twenty seeds; here with one of them."""
 
 from __future__ import annotations
 
@@ -39,12 +39,13 @@ def test_one_seed_meets_the_bars(logs) -> None:
     ],
 )
 def test_one_seed_is_not_too_cautious(logs, method: str) -> None:
-    """At most 97 % in 2 sigma. A third of the variance for unknown friction would do, but at rest not hold always."""
+    """At most 97 % within 2 sigma. A third of the variance for unknown friction would suffice, but would not always
+    hold at rest."""
     assert (protocol.judge(logs, method).inside <= 0.97).all()
 
 
 def test_unknown_gains_of_the_torque_sensors() -> None:
-    """Proximal joints that disagree by 9 %: the worst of twenty seeds where their gains are not told apart."""
+    """Proximal joints whose gains differ by 9 %: the worst of twenty seeds if the gains are not separated."""
     score = protocol.judge(protocol.record("yumi_left", seed=15, gains=0.05), "map")
     assert (score.rms <= 1.5).all()
     assert (score.inside >= 0.85).all()

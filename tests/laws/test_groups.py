@@ -1,6 +1,6 @@
 """Group laws of rotations, poses and quaternions: every law, every batch shape, every region of the group.
 
-The samplers near the identity and near a half turn find what uniform ones never meet: the branches of the series.
+Samplers near the identity and near a half turn reach the series branches, which uniform samplers never do.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def directions(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
 
 
 def uniform(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
-    """Rotation vectors of uniformly distributed rotations, made without the code under test."""
+    """Rotation vectors of uniformly distributed rotations, generated without the code under test."""
     q = rng.standard_normal((*batch, 4))
     half = np.arctan2(np.linalg.norm(q[..., 1:], axis=-1), np.abs(q[..., 0]))
     return 2 * half[..., None] * directions(rng, batch)
@@ -97,7 +97,7 @@ def quaternion_case(rng, batch, sampler) -> SimpleNamespace:
 
 
 def everywhere(law: Callable[..., None]) -> Callable[[], None]:
-    """Make one test of a law for every shape of a batch, and every region of the group."""
+    """Make one test of a law for every batch shape and every region of the group."""
 
     def test() -> None:
         for sampler, batch in DRAWN:
@@ -111,7 +111,7 @@ def everywhere(law: Callable[..., None]) -> Callable[[], None]:
 
 
 def of_every_group(law: Callable[[SimpleNamespace], None]) -> Callable[[], None]:
-    """The same for rotations, poses and quaternions."""
+    """Make one test of a law for rotations, poses and quaternions."""
 
     @everywhere
     def test(batch: tuple[int, ...], sampler: Callable[..., np.ndarray]) -> None:
@@ -127,13 +127,13 @@ def distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def same_side(case: SimpleNamespace, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Elements a, of quaternions those signs that are nearer to b: q and -q are one rotation."""
+    """Elements a, with the quaternion signs nearest to b: q and -q are the same rotation."""
     return np.where((a * b).sum(axis=-1, keepdims=True) < 0, -a, a) if case.identity.ndim == 1 else a
 
 
 @of_every_group
 def test_log_inverts_exp(case: SimpleNamespace) -> None:
-    """A half turn has two logarithms: there the exponentials are compared."""
+    """A half turn has two logarithms: the exponentials are compared instead."""
     v = case.vectors[0]
     back = case.log(case.exp(v))
     if case.sampler is half_turns:
@@ -171,7 +171,7 @@ def test_identity(case: SimpleNamespace) -> None:
 
 @of_every_group
 def test_closure(case: SimpleNamespace) -> None:
-    """A product is a member again: it equals the exponential of its logarithm."""
+    """A product is in the group: it equals the exponential of its logarithm."""
     a, b, _ = case.elements
     product = case.multiply(a, b)
     again = case.exp(case.log(product))
@@ -231,12 +231,12 @@ def test_the_bracket_is_the_adjoint_of_the_algebra(batch: tuple[int, ...], sampl
 
 @of_every_group
 def test_interpolation_is_a_flow(case: SimpleNamespace) -> None:
-    """The middle of the middle is a quarter of the way."""
+    """Halfway to the midpoint is a quarter of the way."""
     interpolate = {3: so3.interpolate, 4: partial(se3.interpolate, path="screw")}.get(len(case.identity))
     if case.identity.ndim == 1:
         interpolate = quaternion.slerp
     a, _, _ = case.elements
-    near = case.multiply(a, case.exp(case.vectors[1] / 4))  # less than a quarter turn away: one shortest way
+    near = case.multiply(a, case.exp(case.vectors[1] / 4))  # less than a quarter turn away: a unique shortest path
     middle = interpolate(a, near, 0.5)
     quarter = interpolate(a, near, 0.25)
     again = interpolate(a, middle, 0.5)

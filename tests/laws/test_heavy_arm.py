@@ -1,4 +1,4 @@
-"""Forces on a heavy arm with faults that no model of it names: one seed of `benchmarks/heavy_arm.py`."""
+"""Forces on a heavy arm with unmodelled errors: one seed of `benchmarks/heavy_arm.py`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def logs() -> protocol.Logs:
 
 
 def test_load_friction_is_learned_without_a_load(logs) -> None:
-    """Of the joints that gravity loads most, within 20 %."""
+    """For the joints that gravity loads most, within 20 %."""
     np.testing.assert_allclose(logs.fit.value.friction.load[1:3], logs.of_load[1:3], rtol=0.2)
 
 
@@ -39,7 +39,7 @@ def test_free_motion_is_inside_its_band(logs, method: str) -> None:
 
 @pytest.mark.parametrize("part", ["load friction", "doubt of a contact"])
 def test_each_part_of_the_model_is_needed(logs, part: str) -> None:
-    """Without it fewer forces of 3 kg are inside 2 sigma, on some axis by more than 1 %."""
+    """Without each part, fewer forces of 3 kg are within 2 sigma, by more than 1 % on some axis."""
     model = protocol.without_load_friction(logs) if part == "load friction" else protocol.without_doubt(logs)
     less = protocol.judge(logs, "map", 3.0)[1] - protocol.judge(logs, "map", 3.0, model)[1]
     assert less.max() > 0.01

@@ -1,4 +1,4 @@
-"""Public functions answer random arguments by a result, an `ArmlabError` or a `TypeError`, never by anything else."""
+"""Public functions answer random arguments with a result, an `ArmlabError` or a `TypeError`, and nothing else."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PLAIN = {
 
 
 class Thing:
-    """An object of another program."""
+    """An object from another program."""
 
 
 HOSTILE: list[Any] = [
@@ -44,7 +44,7 @@ HOSTILE: list[Any] = [
 
 
 def functions(package: ModuleType, name: str, seen: set[int]) -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Functions and classes that a package lists, and class methods that make instances."""
+    """Functions and classes that a package lists, and class methods that create instances."""
     for key in package.__all__:
         thing, path = getattr(package, key), f"{name}.{key}"
         if inspect.ismodule(thing):
@@ -63,7 +63,7 @@ TABLE = log.Table(TIMES, {name: np.outer(np.sin(9 * TIMES), np.ones(7)) for name
 
 
 def argument(parameter: inspect.Parameter, choose: random.Random) -> Any:
-    """A hostile value for a parameter of plain type, a true robot or table; NotImplemented of others."""
+    """A hostile value for a parameter of plain type, a real robot or table, or NotImplemented for other types."""
     words = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"Literal\[[^]]*\]", "", str(parameter.annotation))))
     if words <= PLAIN:
         return choose.choice(HOSTILE)
@@ -71,7 +71,7 @@ def argument(parameter: inspect.Parameter, choose: random.Random) -> Any:
 
 
 def arguments(function: Callable[..., Any], choose: random.Random) -> tuple[list[Any], dict[str, Any]] | None:
-    """Arguments of one call; None where a parameter needs an object of armlab that is neither robot nor table."""
+    """Arguments of one call, or None if a parameter needs an armlab object that is neither robot nor table."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # of C++

@@ -1,6 +1,6 @@
-"""The bars of the specification on public logs of two real arms: residual on held-out blocks in % of torque deviation.
+"""Targets of the specification on public logs of two real arms: residual on held-out blocks in % of the torque SD.
 
-The logs and where they are from: the README beside the data. Earlier figures, and all that is reached, are on
+The README beside the data describes the logs and their sources. Earlier and current results are in
 docs/how_to/real_arm.md.
 """
 
@@ -107,7 +107,7 @@ def tx40() -> tuple[Robot, Table, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def tx40_model(tx40) -> TorqueModel:
-    """Fitted as a user would, to the raw log of the motion until 5.82 s: 65 % of the whole."""
+    """The model that a user would fit to the raw log of the motion until 5.82 s, 65 % of the whole."""
     robot, table, _ = tx40
     return fit_dynamics(table.between(0.1, 5.82), robot).value
 
@@ -118,7 +118,7 @@ def tiago() -> tuple[Robot, Table]:
 
 
 def held_out(data: Record, robot: Robot, test: np.ndarray, every: int, method: str, joints=None) -> np.ndarray:
-    """Fit to the kept rows outside `test` and return the share of each joint on those inside."""
+    """Fit to the kept rows outside `test` and return the residual share of each joint on those inside."""
     design = Design.build(data, robot, base_parameters(robot, joints=joints), cutoff=np.inf, every=every, joints=joints)
     design, theta = refined(*alternate(design, method, use=~test), method)
     return share(design.residuals(theta)[test], design.tau[test])
@@ -129,7 +129,7 @@ def held_out(data: Record, robot: Robot, test: np.ndarray, every: int, method: s
 )
 @pytest.mark.parametrize("method", ["irls", "wls"])
 def test_tx40_on_held_out_blocks(tx40, stop: float, bars: list[float], method: str) -> None:
-    """Blocks of 0.5 s in turn; 10 s each method."""
+    """Alternating blocks of 0.5 s; takes 10 s per method."""
     robot, table, _ = tx40
     data = prepare(tx40_protocol(table, stop), robot)
     t = data.t[::50]
@@ -141,12 +141,12 @@ def test_tx40_on_held_out_blocks(tx40, stop: float, bars: list[float], method: s
 
 @pytest.mark.parametrize("method", ["irls", "wls"])
 def test_tiago_on_held_out_blocks(tiago, method: str) -> None:
-    """Blocks of 40 samples, 2 s, in turn; the torque of arm_1 to arm_4 while all eight joints move."""
+    """Alternating blocks of 40 samples, 2 s; the torque of arm_1 to arm_4 while all eight joints move."""
     robot, table = tiago
     arm = [1, 2, 3, 4]
     data = prepare(tiago_protocol(table), robot, arm)
     test = np.arange(len(data.t[::5])) // 40 % 2 == 1
-    assert len(test) == 1130  # five rows at the end have no velocity: it is 0.19 s late
+    assert len(test) == 1130  # the last five rows have no velocity, which is 0.19 s late
     found = held_out(data, robot, test, 5, method, arm)
     print(f"TIAGo, {method}:", found.round(1))
     assert np.all(found <= [14, 18, 15.5, 12])
@@ -177,8 +177,8 @@ def test_ur3_is_named_as_reversed(log_name: str) -> None:
     ("trained", "other", "alarms"), [("ur3_id1.csv", "ur3_id2.csv", 10), ("ur3_id2.csv", "ur3_id1.csv", 0)]
 )
 def test_ur3_in_another_free_motion(trained: str, other: str, alarms: int) -> None:
-    """The specification asks for 90 % per axis and two contacts per minute. From the slower log to the other, observer
-    and kf miss this: friction there is 2 to 11 % smaller, and the torque of joint 5 jumps twice."""
+    """The specification asks for 90 % per axis and two contacts per minute. Trained on the slower log, observer and kf
+    miss this on the other: friction there is 2 to 11 % smaller, and the torque of joint 5 jumps twice."""
     robot, table = read_ur3(trained)
     model = fit_dynamics(table.with_column("tau", -table["tau"]), robot).value
     _, table = read_ur3(other)
@@ -192,7 +192,7 @@ def test_ur3_in_another_free_motion(trained: str, other: str, alarms: int) -> No
 
 
 def share_of(quality: Quality) -> np.ndarray:
-    """Return the held-out residual in % of the torque's deviation."""
+    """Return the held-out residual in % of the torque SD."""
     return (100.0 * quality.rms_cv / quality.torque_sd).round(1)
 
 
@@ -212,7 +212,7 @@ def plain_regressor(robot: Robot, t: np.ndarray, q: np.ndarray, qd: np.ndarray) 
 
 
 def test_tx40_is_read_as_others_read_it(tx40) -> None:
-    """Plain least squares in motion, 65 % to 35 %: the earlier figures for this log, to their last digit."""
+    """Plain least squares in motion, split 65 % to 35 %: the earlier figures for this log, to the last digit."""
     robot, table, _ = tx40
     whole = tx40_protocol(table, 7.2)
     A, names = plain_regressor(robot, whole.t, whole["q"], whole["qd"])
@@ -226,7 +226,7 @@ def test_tx40_is_read_as_others_read_it(tx40) -> None:
 
 
 def test_tx40_rests_where_it_was_not_trained(tx40, tx40_model) -> None:
-    """65 % to 35 % of the whole log warns of rest: 48 % against 5 %; the same of the motion alone does not."""
+    """Splitting the whole log 65 % to 35 % warns of rest: 48 % against 5 %; splitting only the motion does not."""
     whole = with_velocity(tx40[1])
     for stop, rests in ((8.9, True), (7.2, False)):
         border = 0.1 + 0.65 * (stop - 0.1)
@@ -239,7 +239,7 @@ def test_tx40_rests_where_it_was_not_trained(tx40, tx40_model) -> None:
 
 
 def test_tx40_wrist_is_in_the_model(tx40, tx40_model) -> None:
-    """Fitted to motion until 5.8 s, judged on what comes until 7.2 s; without the wrist's motor it would be half."""
+    """Fitted to motion until 5.8 s, judged from there until 7.2 s; without the wrist's motor it would be half."""
     model, later = tx40_model, tx40[1].between(5.82, 7.2)
     found = predict(model, later)
     shares = share(found["tau"] - found["tau_model"], found["tau"])
@@ -271,7 +271,7 @@ def test_tiago_joints_that_send_no_torque_are_named(tiago) -> None:
 
 
 def test_tiago_by_the_joints_that_send_torque(tiago) -> None:
-    """As a user would: the raw log, in the estimator's own band of 10 Hz, held out."""
+    """As a user would fit it: the raw log, in the estimator's own 10 Hz band, held out."""
     robot, table = tiago
     quality = fit_dynamics(table, robot, joints=[1, 2, 3, 4]).value.quality
     shares = 100.0 * quality.rms_cv / quality.torque_sd

@@ -1,4 +1,4 @@
-"""Forces of a real arm against a force sensor: a Panda at rest that a finger presses, by its own torque residual."""
+"""Forces of a real arm against a force sensor: a Panda at rest, pressed by a finger, from its own torque residual."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from armlab.models.uncertainty import MomentumNoise
 from armlab.robots import Robot
 
 DATA = Path(__file__).parents[3] / "shared/data/force/panda_ati"
-TORQUE = 0.3  # N m, deviation of the residual before the tare
+TORQUE = 0.3  # N m, standard deviation of the residual before the tare
 TOUCHED = 0.5  # N
 
 
@@ -30,7 +30,7 @@ def columns(path: Path, names: list[str]) -> np.ndarray:
 
 
 def model_of(robot: Robot) -> TorqueModel:
-    """No torque of its own: what is read is the residual."""
+    """A model without torque of its own: the measured torque is the residual."""
     n, variance = robot.n, np.full(robot.n, TORQUE**2)
     unknown, friction = np.full(n, np.nan), replace(Friction.none(n), delta=np.full(n, 1e-3))
     return TorqueModel(
@@ -68,8 +68,8 @@ def read(path: Path, robot: Robot, q: np.ndarray) -> tuple[Table, np.ndarray]:
     ],
 )
 def test_every_press_is_found_and_as_large_as_the_sensor_says(method, point, largest, nees) -> None:
-    """The residual lags by 25 to 50 ms. Where the contact is on the sensor is known; a wrench without that is vaguer:
-    its band includes a moment of 2 N m, and of x, 0.64 to 0.72 N; the specification asks for 0.6 N."""
+    """The residual lags by 25 to 50 ms. The contact point on the sensor is known; without it the wrench is less
+    certain: its band includes a moment of 2 N m, and, in x, 0.64 to 0.72 N; the specification asks for 0.6 N."""
     flange = se3.from_rp(euler.rot_z(-np.pi / 2), np.zeros(3))
     sensor = se3.from_rp(euler.rot_y(np.pi), [0.0, 0.0, 0.0287])
     robot = robots.load("panda").with_tool(flange @ sensor)

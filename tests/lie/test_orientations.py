@@ -17,7 +17,7 @@ def random_quaternions(*shape: int, seed: int = 0) -> np.ndarray:
 
 
 def test_from_matrix_of_half_turns() -> None:
-    """The square root of a negative number, for about 30 % of them, is what a naive formula takes."""
+    """A naive formula takes the square root of a negative number for about 30 % of them."""
     u = random_quaternions(20_000)[:, 1:]
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     q = quaternion.from_matrix(2 * u[:, :, None] * u[:, None, :] - np.eye(3))
@@ -113,7 +113,7 @@ def test_an_unknown_convention_is_refused() -> None:
 
 
 def test_the_convention_has_no_default() -> None:
-    """The ancestor had one for each direction, and they were not the same."""
+    """The ancestor had one default per direction, and they differed."""
     with pytest.raises(TypeError, match="convention"):
         euler.from_rpy((0.1, 0.2, 0.3))  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="convention"):

@@ -1,4 +1,4 @@
-"""Rotations: known values, SciPy, the corners at 0 and at half turns, means, refusals. Group laws: tests/laws."""
+"""Rotations: known values, SciPy, edge cases at 0 and at half turns, means, refusals. Group laws: tests/laws."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_skew_part() -> None:
 
 
 def test_log_of_half_turns() -> None:
-    """Numbers of Robotlib.jl's tests; the sign rule: the first component that is not zero is positive."""
+    """Numbers from Robotlib.jl's tests; the sign rule: the first non-zero component is positive."""
     np.testing.assert_array_equal(so3.log(np.diag([-1.0, -1, 1])), [0, 0, np.pi])
     r = np.pi / np.sqrt(2)
     np.testing.assert_allclose(so3.log([[-1, 0, 0], [0, 0, 1], [0, 1, 0]]), [0, r, r], rtol=1e-15)
@@ -112,7 +112,7 @@ def test_axis_angle_by_hand() -> None:
 
 
 def test_xy_angle_is_the_signed_turn_about_z() -> None:
-    """The ancestor's function was documented as this and returned the turn about x."""
+    """The ancestor's function was documented as this but returned the turn about x."""
     turns = np.linspace(-np.pi, np.pi, 41)[1:]
     R_a = so3.exp(rotation_vectors(40))
     R_b = R_a @ so3.exp(turns[:, None] * [0.0, 0, 1])
@@ -129,7 +129,7 @@ def test_xy_angle_has_no_value_where_x_is_vertical() -> None:
 
 
 def test_angle_about_is_the_twist() -> None:
-    """R = swing twist: the turn about the axis is found whatever the swing, at right angles to it."""
+    """R = swing twist: the turn about the axis is found for any swing at right angles to it."""
     rng = np.random.default_rng(3)
     axis = rng.standard_normal((500, 3))
     across = np.cross(axis, rng.standard_normal((500, 3)))
@@ -147,7 +147,7 @@ def test_angle_about_is_the_twist() -> None:
 
 @pytest.mark.parametrize("method", ["chordal", "geodesic"])
 def test_mean_of_a_symmetric_pair(method) -> None:
-    """Of R exp(w) and R exp(-w): R, to the last digits, up to a quarter turn each way."""
+    """The mean of R exp(w) and R exp(-w) is R, to the last digits, up to a quarter turn each way."""
     R, w = so3.exp(rotation_vectors(1000)), rotation_vectors(1000, longest=1.4, seed=1)
     pair = np.stack([R @ so3.exp(w), R @ so3.exp(-w)])
     assert np.abs(so3.mean(pair, method=method) - R).max() <= 2e-15
@@ -267,7 +267,7 @@ def test_what_has_no_mean_is_refused(call, error: type[Exception], sentence: str
 
 
 def test_an_iteration_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No set of rotations is known that needs more than a few steps; one step is too few for this one."""
+    """No known set of rotations needs more than a few steps; this one needs more than one."""
     monkeypatch.setattr("armlab.lie.so3.ITERATIONS", 1)
     with pytest.raises(NotConverged, match="Use the chordal mean"):
         so3.mean(scattered(10, 0.6)[1], method="geodesic")

@@ -1,4 +1,5 @@
-"""One server for all tests without a browser, each begins with an empty scene and panel; and bridges to look at."""
+"""One server for all tests without a browser, each of which starts with an empty scene and panel; and bridges to
+view."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from armlab.state import Command, State
 
 from .fleet_bridges import fleet as fleet
 
-LOOKS = 200  # each at most 0.1 s; only a test that fails takes all
+LOOKS = 200  # each at most 0.1 s; only a failing test uses all of them
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +44,7 @@ def server(_server: Any) -> Any:
 
 @pytest.fixture
 def page() -> Callable[..., Any]:
-    """Return what connects to a server as its page does, without a browser; from where the page says it is."""
+    """Return a function that connects to a server like its page, without a browser, with a given origin."""
     viser = pytest.importorskip("viser", reason="the view in the browser needs the extra `live`")
     import msgspec
     from websockets.exceptions import ConnectionClosed
@@ -57,7 +58,7 @@ def page() -> Callable[..., Any]:
     def open_(port: int, origin: str | None = None) -> Any:
         said = None if origin is None else Origin(origin)
         socket = connect(f"ws://{HOST}:{port}", subprotocols=[version], origin=said, max_size=None, proxy=None)
-        with contextlib.suppress(ConnectionClosed):  # whoever receives next hears of it
+        with contextlib.suppress(ConnectionClosed):  # the next receive reports it
             socket.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **camera, **ways}))
         return socket
 
@@ -73,7 +74,7 @@ class Bridge:
         self._ticks = 0
 
     def row(self, arm: Robot, record: dict[str, Any] | None = None, later: float = 0.0, **fields: Any) -> None:
-        """Send a row, so many seconds later than now."""
+        """Send a row with a stamp `later` seconds from now."""
         self._ticks += 1
         state = State(**{"t": 0.0, "dt": 0.004, "q": arm.q_home, "qd": 0 * arm.q_home, "tau": 0 * arm.q_home, **fields})
         command = None if record is None else Command(record=record)
@@ -112,6 +113,6 @@ def hear_until() -> Callable[..., None]:
             running.hear(0.1)
             if true():
                 return
-        pytest.fail(f"It did not come so far: {running.state}")
+        pytest.fail(f"The expected state was not reached: {running.state}")
 
     return hear

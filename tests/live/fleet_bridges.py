@@ -1,4 +1,4 @@
-"""A router, and bridges whose rows are made up and go out over Zenoh, all in the process of the test."""
+"""A router, and bridges that publish synthetic rows over Zenoh, all in the test process."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def pose(handle: Any) -> np.ndarray:
 
 
 def link(arm: str, number: int) -> str:
-    """Return the name of a link's node: below those of the links before."""
+    """Return the name of a link's node: nested below the previous links."""
     return f"/{arm}/arm" + "".join(f"/link_{i}" for i in range(1, number + 1))
 
 

@@ -1,4 +1,4 @@
-"""Curves: what the plots hold, envelopes that keep spikes, windows that slide."""
+"""Curves: plot contents, envelopes that keep spikes, sliding windows."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_an_envelope_keeps_spikes_and_gaps() -> None:
 
 
 def test_an_envelope_does_not_flicker_when_it_slides() -> None:
-    """Stretches begin at multiples of their length: what two windows share is drawn alike."""
+    """Intervals begin at multiples of their length, so the overlap of two windows is drawn identically."""
     t = np.arange(0.0, 30.0, 0.004)
     noise = np.random.default_rng(1).normal(size=(len(t), 1))
     first, second = ((t >= a) & (t < a + 10.0) for a in (5.0, 5.1))
@@ -82,7 +82,7 @@ def test_curves_bands_and_cursor_are_columns_of_the_plot() -> None:
     np.testing.assert_array_equal(np.delete(data[6], [2, 3]), values[:, 1] - 0.5)
     np.testing.assert_array_equal(data[7], [np.nan, np.nan, -3.0, 3.0, np.nan, np.nan])
     assert gui.plots[0].scales["y"] == {"range": (-3.0, 3.0)}
-    free = Curves(gui, "x", ["x"], ["#000000"], cursor=True)  # without a scale the cursor reaches over the data
+    free = Curves(gui, "x", ["x"], ["#000000"], cursor=True)  # without a scale the cursor spans the data
     free.show([0.0, 1.0], [[-2.0], [5.0]], at=9.0)
     np.testing.assert_array_equal(gui.plots[1].data[2], [np.nan, np.nan, -2.0, 5.0])
 
@@ -97,7 +97,7 @@ def test_a_band_that_is_missing_has_no_width() -> None:
 
 
 def test_curves_are_interrupted_where_they_are_missing() -> None:
-    """uPlot leaves a hole at null; NaN it would bridge by a line. All other columns go as plain numbers."""
+    """uPlot leaves a gap at null, but would bridge NaN with a line. All other columns are sent as plain numbers."""
     gui = Gui()
     plot = Curves(gui, "x", ["x", "y", "z"], ["#000000"] * 3, band=True, cursor=True)
     values = np.arange(12.0).reshape(4, 3)

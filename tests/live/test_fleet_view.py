@@ -1,4 +1,4 @@
-"""`FleetRows`: who is at a router, the newest of each, who goes and who comes again as another run."""
+"""`FleetRows`: the robots at a router, their newest rows, and robots that leave or return with another run."""
 
 from __future__ import annotations
 
@@ -111,12 +111,12 @@ def test_a_silent_robot_and_rows_of_another_schema() -> None:
 
 
 def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time in which nobody listened says nothing of a robot; two seconds of listening do."""
+    """Time without listening says nothing about a robot; two seconds of listening do."""
     rows = fleet.rows()
     bridge = fleet.bridge(LEFT)
     hear_fleet(rows, lambda: "lab1/yumi_left" in rows.robots and rows.robots["lab1/yumi_left"].state == "connected")
     seen, looks = rows.robots["lab1/yumi_left"], 0
-    monkeypatch.setattr(rows, "_put", lambda *words: None)  # nothing of what comes is taken
+    monkeypatch.setattr(rows, "_put", lambda *words: None)  # received rows are ignored
     for _ in range(3):
         rows._looked -= 60.0
         rows.hear(0.0)
@@ -162,7 +162,7 @@ def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fle
     assert "<td" in view._table._html.content
     hear_fleet(rows, lambda: node(server, "/lab1/b/label").text == "lab1/b", view.draw)
 
-    arms["lab1/a"] = fleet.bridge(LEFT, "a")  # comes again as another arm
+    arms["lab1/a"] = fleet.bridge(LEFT, "a")  # returns as another arm
     arms["lab1/c"] = fleet.bridge(UR, "c")
     hear_fleet(rows, lambda: all(drawn(name) for name in arms) and rows.robots["lab1/a"].restarts == 1, view.draw)
     hear_fleet(rows, lambda: node(server, "/lab1/a/arm").visible, view.draw)

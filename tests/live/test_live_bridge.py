@@ -1,4 +1,4 @@
-"""`Running`: a bridge is found, followed and found again; what it says of forces."""
+"""`Running`: a bridge is found, followed and found again; the forces it reports."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_a_model_of_another_arm_is_refused(bridge: Any, following: Any, hear_unt
         hear_until(following(models=[model]), lambda: False)
 
 
-LOOKS = 1000  # frames; only a test that fails takes all
+LOOKS = 1000  # frames; only a failing test uses all of them
 HAT = np.array([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
 
 
@@ -198,7 +198,7 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     assert "Waiting for a bridge" in view._state._html.content
     q = np.linspace(0.1, 0.7, 7)
     record = {"wrench_hat": HAT, "wrench_hat_cov": np.diag([1.0, 4.0, 9.0, 0.1, 0.1, 0.1])}
-    row = {"q": q, "tau": np.arange(7.0), "later": 60.0}  # it is no old one, however long this takes
+    row = {"q": q, "tau": np.arange(7.0), "later": 60.0}  # the row is not stale, however long this takes
     hear_until(running, lambda: running.row, lambda: one.row(RIGHT, record, **row))
     view.draw()
     T = forward(RIGHT, q)
@@ -206,7 +206,7 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     arrow = node(server, "/yumi_right/force")
     assert arrow.visible
     np.testing.assert_allclose(tip(arrow) - T[:3, 3], [0.0, 0.0, 0.1], atol=1e-9)
-    assert not node(server, "/yumi_left/arm").visible, "of this arm nothing came yet"
+    assert not node(server, "/yumi_left/arm").visible, "no row of this arm has arrived yet"
     np.testing.assert_allclose(data(view, "yumi_right", "torque")[1:, -1], np.arange(7.0))
     np.testing.assert_allclose(data(view, "yumi_right", "force")[1:4, -1], HAT[:3])
     np.testing.assert_allclose(data(view, "yumi_right", "force")[4:, -1], [2.0, -2.0, 4.0, -4.0, 16.0, 4.0])

@@ -1,4 +1,4 @@
-"""Logs of arms: on one clock, with their robots and events, and what is said of each instant."""
+"""Logs of arms: on one clock, with their robots and events, and the text shown for each instant."""
 
 from __future__ import annotations
 
@@ -105,12 +105,12 @@ def test_an_estimate_goes_before_a_sensor(table: Callable[..., Table]) -> None:
     np.testing.assert_allclose(both.sigma[3], np.sqrt(np.arange(1.0, 7.0)))
     measured = Recorded(LEFT, table(wrench=sensor, wrench_hat_cov=cov), table().t)
     np.testing.assert_array_equal(measured.wrench, sensor)
-    assert measured.covariance is None  # that of an estimate says nothing of a sensor
+    assert measured.covariance is None  # that of an estimate does not apply to a sensor
 
 
 def test_robots_come_from_the_file_the_library_or_the_caller(tmp_path: Path, table: Callable[..., Table]) -> None:
     special = robots.from_dh("mine", [0.0] * 7, [0.1] * 7, [0.0] * 7)
-    path = recording(tmp_path / "mine.mcap", special)  # it is described there
+    path = recording(tmp_path / "mine.mcap", special)  # the file contains its description
     assert read_arms([path])[0].robot == special
     assert read_arms([path], [special])[0].robot is special
     log.write(table(), tmp_path / "run.csv")

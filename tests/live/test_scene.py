@@ -1,4 +1,4 @@
-"""What stands in the scene, read back from its nodes: poses, arrows, ellipsoids, paths, frames."""
+"""Contents of the scene, read back from its nodes: poses, arrows, ellipsoids, paths, frames."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: A
     np.testing.assert_allclose(tip(arrow), at + 2 * ARROW * force)
     assert not ball.visible
     for down in (*np.eye(3), *-np.eye(3), [1e-5, 0.0, -1.0], [0.0, 1e-6, -1.0], [1e-9, 0.0, -1.0]):
-        scene.show("yumi_left", LEFT.q_home, 10.0 * np.array(down))  # the turn has no axis of its own near -z
+        scene.show("yumi_left", LEFT.q_home, 10.0 * np.array(down))  # near -z, the rotation axis is not unique
         np.testing.assert_allclose(tip(arrow), at + 20.0 * ARROW * np.array(down), atol=1e-8, rtol=0)
 
 

@@ -1,4 +1,4 @@
-"""The server listens on local view, says nothing, and opens no tunnel."""
+"""The server serves only a local view, prints nothing, and opens no tunnel."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
 
 
 def test_a_page_of_another_site_sees_nothing(server: Any, page: Any) -> None:
-    """A browser would let it connect: the server has to look at the origin. Programs tell none."""
+    """A browser would let it connect, so the server must check the origin. Programs tell none."""
     from websockets.exceptions import ConnectionClosed
 
     port = server.get_port()
@@ -61,7 +61,7 @@ def test_origins_are_compared_with_the_server_that_was_asked() -> None:
         assert is_own([f"http://{host}"], [host])
     for origins, hosts in (
         (["http://localhost:8888"], ["localhost:8080"]),
-        (["http://example.com:8080"], ["example.com:8080"]),  # a name that was made to lead here
+        (["http://example.com:8080"], ["example.com:8080"]),  # a name made to resolve to this computer
         (["http://127.0.0.1.example.com:8080"], ["127.0.0.1.example.com:8080"]),
         (["http://localhost:8080@example.com"], ["localhost:8080@example.com"]),
         (["https://localhost:8080"], ["localhost:8080"]),

@@ -34,7 +34,7 @@ def extra() -> dict[str, Column]:
 
 
 class Rows:
-    """Row i of a made-up run: every number is random, so that a column in the wrong place shows."""
+    """Row i of a synthetic run: every number is random, so that a misplaced column shows."""
 
     def __init__(self, robot: Robot, seed: int = 1) -> None:
         self.robot, self.seed = robot, seed
@@ -66,7 +66,7 @@ class Rows:
 
 @pytest.fixture
 def read_spoilt() -> Callable[[Path, Path, int], None]:
-    """Cut a file at places all over it, and put wrong bytes into it: a table or one sentence comes of it."""
+    """Truncate a file at random places and corrupt its bytes: reading gives a table or one error message."""
 
     def read(log: Path, file: Path, count: int) -> None:
         data, rng = file.read_bytes(), np.random.default_rng(1)
@@ -103,7 +103,7 @@ def recording(tmp_path: Path, robot: Robot, rows: Rows) -> Callable[..., Path]:
 
 
 class Ros:
-    """Messages of other programs, and bags of them."""
+    """Messages from other programs, and bags of them."""
 
     start = START_NS
 
@@ -153,7 +153,7 @@ class Ros:
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
     def bag(self, path: Path, messages: Sequence[tuple[str, int, Any]], storage: str = "mcap") -> Path:
-        """Write (topic, time of recording [ns], message) by rosbags."""
+        """Write (topic, recording time [ns], message) with rosbags."""
         from rosbags.rosbag2 import StoragePlugin, Writer
 
         plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3

@@ -46,7 +46,7 @@ def test_what_another_program_sees(table: Table, tmp_path: Path) -> None:
     assert found.column("mode").to_pylist() == ["on", "", "grå", "x"]
     chunk = pq.ParquetFile(path).metadata.row_group(0).column(1)
     assert chunk.compression == "ZSTD"
-    assert set(chunk.encodings) == {"RLE", "BYTE_STREAM_SPLIT"}  # RLE: levels, of which there is one
+    assert set(chunk.encodings) == {"RLE", "BYTE_STREAM_SPLIT"}  # RLE: the levels, all equal
     assert not chunk.has_dictionary_page
 
 
@@ -117,7 +117,7 @@ ARRAYS = {"T": np.arange(12.0).reshape(3, 4), "few": np.array([[1, 2, 3]], dtype
 
 
 def save_73(path: Path, arrays: dict[str, np.ndarray]) -> Path:
-    """Write as MATLAB does: 512 bytes of text before HDF5, columns as rows."""
+    """Write as MATLAB does: 512 bytes of text before the HDF5 data, columns as rows."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, array in arrays.items():
             file[name] = np.ascontiguousarray(array.T)
@@ -207,7 +207,7 @@ def test_a_bomb_is_refused_by_the_size_that_it_tells(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("count", [100, pytest.param(1500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("packed", [False, True])
 def test_wrong_bytes(packed: bool, count: int) -> None:
-    """SciPy's reader ends the process on 3 % of those that are not packed."""
+    """SciPy's reader crashes the process on 3 % of the uncompressed files."""
     cells = np.array([["a"], ["grå"], [""]], dtype=object)
     variables = {"t": np.arange(20.0), "text": "hello", "cells": cells, "s": {"a": 1.0}, "z": np.array([1j])}
     data = saved(variables, packed)
@@ -267,7 +267,7 @@ def test_a_log_of_matlab_in_both_orientations(tmp_path: Path) -> None:
 
 
 def test_version_73(table: Table, tmp_path: Path) -> None:
-    """What MATLAB makes of a file of ours by save -v7.3, and a log of its own."""
+    """Our file re-saved by MATLAB with save -v7.3, and a log written by MATLAB itself."""
     table = table.without("mode")
     ours = loadmat(log.write(table, tmp_path / "run.mat"))
     codes = np.frombuffer(str(ours["armlab"][0]).encode("utf-16-le"), "<u2")
@@ -302,7 +302,7 @@ def test_what_another_program_sees_hdf5(table: Table, tmp_path: Path) -> None:
 
 
 def test_an_old_jld_file(tmp_path: Path) -> None:
-    """HDF5 behind 512 bytes of text; matrices with one sample per column are (N, n) here. Objects are left out."""
+    """HDF5 behind 512 bytes of text; matrices with one sample per column are (N, n) here. Objects are skipped."""
     path = tmp_path / "log.jld"
     q = np.arange(8.0).reshape(4, 2)
     with h5py.File(path, "w", userblock_size=512) as file:

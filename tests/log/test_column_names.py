@@ -87,7 +87,7 @@ def test_logs_of_libfranka_and_abb_libegm_are_read_in_si(tmp_path) -> None:
     np.testing.assert_allclose(table.t, 1e-3 * np.arange(20), rtol=0, atol=1e-12)
     for name, source in (("q", "state.q"), ("qd", "state.dq"), ("tau", "state.tau_J"), ("q_ref", "state.q_d")):
         np.testing.assert_array_equal(table[name], values[:, at(FRANKA, source + "[{}]", 7)])
-    place = FRANKA.index("cmd.q_d[0]")  # older libfranka: names twice, a column without numbers between them
+    place = FRANKA.index("cmd.q_d[0]")  # older libfranka: repeated names, separated by a column without numbers
     before = [" " * (not name.endswith("[0]")) + name.partition(".")[2] for name in FRANKA]
     before = ["duration", " success rate", *before[2:place], "sent commands", *before[place:]]
     lines = [[*row[:place], "", *row[place:]] for row in values]
@@ -122,7 +122,7 @@ def test_joint_states_as_csv_come_in_the_order_of_the_robot(form, tmp_path) -> N
         lines = [[s / 1e9, k, s // 10**9, s % 10**9, "base", *UR_DRIVER, *row]
                  for k, (s, row) in enumerate(zip(stamps, numbers))]  # fmt: skip
         path = write(tmp_path / "log.csv", header, lines)
-    else:  # every series of a bag, sorted, and a row per message: those of other topics are empty here
+    else:  # all series of a bag, sorted, one row per message: cells of other topics are empty
         kinds = ("position", "velocity", "effort")
         header = [f"/joint_states/{joint}/{kind}" for kind in kinds for joint in UR_DRIVER]
         order = sorted(range(18), key=header.__getitem__)

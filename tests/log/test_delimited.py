@@ -37,7 +37,7 @@ def test_units_are_converted_and_joints_put_together(tmp_path: Path) -> None:
 
 
 def test_labels_and_texts_of_other_tools(tmp_path: Path) -> None:
-    """ROS exports, orca logs, semicolons, a byte-order mark, Windows line ends, blank lines, lines before."""
+    """ROS exports, orca logs, semicolons, a byte-order mark, Windows line endings, blank lines, preamble lines."""
     ros = read_csv(written(tmp_path, "t,- arm_1_joint_effort,- arm_2_joint_effort\n0,1,2\n0.01,3,4\n"))
     np.testing.assert_array_equal(ros.matching("arm_1_joint"), [[1], [3]])
     text = "\ufeffmade by a logger\r\nt;robot[0].joint[0].posRawAbs\r\n0;1\r\n1;2\r\n\r\n"
@@ -50,7 +50,7 @@ def test_labels_and_texts_of_other_tools(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.t, [0, 2e-4, 4e-4])
     np.testing.assert_array_equal(table.matching("Joint_"), [[1, 2], [3, 4], [5, 6]])
     assert len(read_csv(path, rate=5000.0, every=2)) == 2
-    spaces = read_csv(written(tmp_path, "t,a,b\n0,1\x1d,x\n0.1, \x1c2,\x1d\n"))  # that only Python knows
+    spaces = read_csv(written(tmp_path, "t,a,b\n0,1\x1d,x\n0.1, \x1c2,\x1d\n"))  # whitespace only in Python
     assert np.array_equal(spaces["a"], [1.0, 2.0])
     assert spaces["b"].dtype.kind == "U"
     table = read_csv(written(tmp_path, "t,mode,x\n0,auto,1\n1,,2\n2,manual,nan\n"))  # words make a text column
@@ -109,7 +109,7 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "separator"),
     [
-        ("t,x\n0,1\n1,+2\n2,.5\n3,1.\n", ","),  # numbers that JSON has not
+        ("t,x\n0,1\n1,+2\n2,.5\n3,1.\n", ","),  # numbers that are invalid in JSON
         ("t;x\r\n0;1\r\n1;2\r\n2;.5\r\n3;1\r\n", ";"),
         ("t x\n0 1\n1 2\n2 0.5\n3 1e0\n", " "),
         ("t\tx\n0\t1\n1\t2\n2\t5e-1\n3\t1\n", "\t"),
@@ -154,7 +154,7 @@ WORDS = ["", "1", 'a "b", c', "line\nbreak", "\r", "ü", " x "]
 
 @pytest.fixture
 def table() -> Table:
-    """More rows than two blocks."""
+    """A table with more rows than two blocks."""
     rng = np.random.default_rng(2)
     n = 2_500
     real = rng.normal(size=(n, 3)) * 10.0 ** rng.integers(-300, 300, (n, 3))
@@ -193,7 +193,7 @@ SOME = 1 << 16
 
 @contextmanager
 def memory(most: float) -> Iterator[None]:
-    """Check the bytes that are taken at once."""
+    """Check the peak memory use."""
     tracemalloc.start()
     try:
         yield
@@ -225,7 +225,7 @@ def test_a_line_of_megabytes_takes_no_memory(tmp_path: Path, head: bytes, packed
     path = put(tmp_path / "log", head + b"1" * (12 * LONGEST), packed)
     with memory(8 * LONGEST), pytest.raises(LogError, match=f"Expected at most {LONGEST} characters in line"):
         log.read_csv(path)
-    put(path, b"t,x\r" + b"1,a\r" * (3 * LONGEST))  # these ends of lines make no long header
+    put(path, b"t,x\r" + b"1,a\r" * (3 * LONGEST))  # these line endings make no long header
     with memory(8 * LONGEST):
         assert _numbers_only(path, 0, ",", 2) is None
 
@@ -247,7 +247,7 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
     with pytest.raises(LogError, match=r"and 1000 lines in .*log, got more\. If you trust the file, unpack it"):
         log.read_csv(put(path, b"x\n" + b"1\n" * 1000, packed=True), rate=250.0)
     monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", 1 << 14)
-    rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(1000)]  # an arm that stands still is no bomb
+    rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(1000)]  # an arm at rest is not a decompression bomb
     text = "\n".join(["t," + ",".join(f"c{k}" for k in range(30)), *rows])
     assert len(text) > 4 << 14
     assert len(log.read_csv(put(path, text.encode(), packed=True))) == 1000
@@ -321,7 +321,7 @@ def test_a_log_of_the_ancestors(path_described: Path) -> None:
     np.testing.assert_array_equal(table["q"], q)
     assert (set(table.names), table["seq"].dtype) == ({"q", "tau_ref", "seq"}, np.int64)
     assert table.notes == ("skipped: Log, GR (7, 7)",)
-    square = np.arange(25.0).reshape(5, 5)  # samples in rows stay
+    square = np.arange(25.0).reshape(5, 5)  # samples in rows are not transposed
     arrays = {"t": (T[:, None], "s"), "q": (square, "deg"), "T": (np.zeros((5, 4, 4)), ""), "x": (T[:, None], "")}
     table = foreign_table(path_described, arrays)
     np.testing.assert_allclose(table["q"], np.deg2rad(square))
@@ -331,7 +331,7 @@ def test_a_log_of_the_ancestors(path_described: Path) -> None:
     with pytest.raises(LogError, match=r"got none\."):
         foreign_table(path_described, {})
     arrays = {"t": (np.array([0.0, 1.0]), ""), "q999999999999": (np.array([0.0, 1.0]), "")}
-    assert labelled_table(path_described, arrays).names == ("q999999999999",)  # nobody lists all places up to it
+    assert labelled_table(path_described, arrays).names == ("q999999999999",)  # not all indices up to it are listed
 
 
 def test_a_description_goes_through_json(path_described: Path) -> None:

@@ -1,4 +1,4 @@
-"""Files of laboratories: test signals of ABB, logs of orca and ExtCtrl, trackers of Nikon."""
+"""Laboratory file formats: ABB test signals, orca and ExtCtrl logs, Nikon trackers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_units_and_order(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.t, 0.004 * np.arange(N), atol=1e-12)
     np.testing.assert_allclose(table["q"], DEG * POS[:, order], rtol=1e-14)
     np.testing.assert_allclose(table["qd"], DEG * SPEED[:, order], rtol=1e-14)
-    np.testing.assert_allclose(table["tau"], TRQ[:, order], rtol=1e-14)  # of the arm's side: no gears
+    np.testing.assert_allclose(table["tau"], TRQ[:, order], rtol=1e-14)  # on the joint side: no gears
     np.testing.assert_allclose(table["tau_ext"], 2 * TRQ[:, order], rtol=1e-14)
     assert dict(table.units) == {"q": "rad", "qd": "rad/s", "tau": "N m", "tau_ext": "N m"}
     assert table.columns["tau_ext"].labels == robots.load("yumi_left").joint_names
@@ -74,7 +74,7 @@ def test_lines_of_a_rapid_logger(tmp_path: Path) -> None:
 
 
 def test_an_axis_that_abb_counts_from_the_foot(tmp_path: Path) -> None:
-    """IRB 2400: axis 3 = q_2 + q_3, torques so that the power is kept; both orders of map and rod differ."""
+    """IRB 2400: axis 3 = q_2 + q_3, with torques that preserve power; the two orders of map and rod differ."""
     labels = [f"{what}{axis}" for what in "pst" for axis in range(1, 7)]
     columns = [array[:, axis] for array in (POS, SPEED, TRQ) for axis in range(6)]
     path = write_text(tmp_path / "run.txt", labels, columns, ";")
@@ -186,7 +186,7 @@ def signals(seed: int, rows: int = 20) -> dict[str, np.ndarray]:
 
 
 def write_log(path: Path, arms: list[dict[str, np.ndarray]], prefix: str = "irb2ext.") -> Path:
-    """As lc2csv writes: one column per leaf, no units, the joints not in order."""
+    """Write as lc2csv does: one column per leaf, no units, joints out of order."""
     labels, columns = [], []
     for arm, values in enumerate(arms):
         for joint in (3, 0, 6, 1, 2, 5, 4):
@@ -215,7 +215,7 @@ def test_joints_of_both_arms(tmp_path: Path) -> None:
 
 
 def test_names_of_the_old_exports_and_holes(tmp_path: Path) -> None:
-    """Aliases, velocity that was not filtered, NaN before the first value: missing of the joints it moves."""
+    """Aliases, unfiltered velocity, NaN before the first value: missing for the joints it moves."""
     robot, values, kinds = coupled(), signals(4), ("posRawAbs", "velRaw")
     names = {f"robot_0__joint_{k}__{signal}": values[signal][:, k] for k in range(7) for signal in kinds}
     names["robot_0__joint_2__posRawAbs"] = np.where(np.arange(20) < 3, np.nan, values["posRawAbs"][:, 2])
@@ -358,7 +358,7 @@ def test_a_rotation_that_is_none_is_projected_on_demand_only(tmp_path: Path) -> 
     assert se3.is_pose(found.T, 1e-14)
     assert found.distance == pytest.approx(1e-5, rel=0.3)
     T[0, 0] -= 1e-5
-    T[0, 0] += 1e-8  # rounding of a file: restored
+    T[0, 0] += 1e-8  # rounding in the file is corrected
     found = read_matrix(pose_file(tmp_path, T))
     assert se3.is_pose(found.T, 1e-14)
     np.testing.assert_allclose(found.T[:3, :3], T[:3, :3], rtol=0, atol=1e-8)

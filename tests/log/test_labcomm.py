@@ -1,4 +1,4 @@
-"""LabComm streams in files: all dialects, samples at several rates, clocks that wrap, streams that are damaged."""
+"""LabComm streams in files: all dialects, samples at several rates, clocks that wrap around, damaged streams."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_bad_streams_name_the_byte(tmp_path: Path) -> None:
 
 
 def declared_twice(path: Path, first: str, one: object, second: str, other: object) -> Path:
-    """Write a sample x with values of two types ("int", "double[3]"), as where two programs wrote one file."""
+    """Write a sample x with values of two types ("int", "double[3]"), as if two programs had written one file."""
     data = b""
     for k, (kind, value) in enumerate([(first, one), (second, other)]):
         name, bracket, size = kind.partition("[")

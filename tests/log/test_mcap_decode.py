@@ -1,4 +1,4 @@
-"""Numbers out of the messages of MCAP files: layouts, blocks, columns."""
+"""Numbers from messages in MCAP files: layouts, blocks, columns."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_other_writers(store, options: dict) -> None:
     st.lists(st.tuples(st.integers(0, 30), st.integers(0, 3)), min_size=1, max_size=40), st.sampled_from([200, 1 << 20])
 )
 def test_mixed_layouts_keep_their_rows(store, made: list[tuple[int, int]], chunk_size: int) -> None:
-    """Of more layouts than are remembered, and of several lengths."""
+    """Messages with more layouts than are cached, and of several lengths."""
     names = [[], ["long name", "b", "c"], *([f"{k:02d}", "b", "c"] for k in range(2, 31))]
     rows = [(names[k], count) for k, count in made]
     data, positions = written(store, rows, chunk_size=chunk_size)
@@ -119,7 +119,7 @@ def test_mixed_layouts_keep_their_rows(store, made: list[tuple[int, int]], chunk
 
 @pytest.mark.parametrize("chunking", [True, False])
 def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
-    """Whether its file has chunks or none; one sentence tells of all of a channel."""
+    """With or without chunks; one message reports all damage in a channel."""
     out = io.BytesIO()
     writer = Writer(out, chunk_size=300, use_chunking=chunking)
     writer.start()
@@ -147,7 +147,7 @@ def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
 
 
 def test_a_channel_whose_columns_would_be_holes_is_left_out_alone() -> None:
-    """However its messages lie in chunks: none of these alone is refused."""
+    """For any distribution of its messages over chunks; no chunk alone is refused."""
     out = io.BytesIO()
     writer = Writer(out, chunk_size=5000)
     writer.start()
@@ -192,7 +192,7 @@ def test_an_index_that_cannot_be_true_takes_no_room_and_is_not_believed(store) -
 
 
 def test_a_message_of_many_parts_takes_time_in_proportion() -> None:
-    """Copying the names so far for each number took an hour here."""
+    """Copying all previous names for each number took an hour here."""
     text = "In[] points\n" + "=" * 80 + "\nMSG: t/In\nfloat64 x\nfloat64 y"
     found = MessageReader("t/msg/T", definitions("t/msg/T", text), None)
     raw = b"\0\1\0\0" + struct.pack("<Ixxxx", 20_000) + bytes(16 * 20_000)
@@ -201,7 +201,7 @@ def test_a_message_of_many_parts_takes_time_in_proportion() -> None:
 
 
 def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
-    """Each message with a column of its own: looking for each in each would take hours."""
+    """Each message has its own column; searching every message for every column would take hours."""
     pieces = [(np.array([k]), {((f"x{k}", 1),): np.array([[float(k)]])}) for k in range(20_000)]
     with pytest.raises(LogError, match="got 20000 rows with 20000 numbers, up to 1 in x0; padding the 20000 column"):
         assembled(20_000, pieces)
@@ -211,7 +211,7 @@ def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
 
 
 def test_counts_with_holes_in_one_piece_stay_missing_where_another_piece_has_none() -> None:
-    """A whole piece of integers before one of reals with NaN: NaN must not become an integer."""
+    """A segment of integers before one of reals with NaN: NaN must not become an integer."""
     path = "clamped"
     whole, holed = np.array([[1], [2]], dtype=np.uint8), np.array([[np.nan], [4.0]])
     pieces = [(np.array([0, 1]), {((path, 1),): whole}), (np.array([2, 3]), {((path, 1),): holed})]

@@ -76,13 +76,13 @@ def data(recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> byt
 
 @pytest.fixture
 def whole(data: bytes, tmp_path: Path) -> dict[int, np.ndarray]:
-    """Positions by number of the row."""
+    """Positions by row number."""
     table = read(tmp_path / "whole.mcap")
     return dict(zip(table["seq"].tolist(), table["q"], strict=True))
 
 
 def attempt(path: Path, data: bytes, whole: dict[int, np.ndarray]) -> int:
-    """Read, inspect and repair the bytes, or refuse them in a sentence; return the number of rows."""
+    """Read, inspect and repair the bytes, or refuse them with one message; return the number of rows."""
     path.write_bytes(data)
     repaired = path.with_name("repaired.mcap")
     repaired.unlink(missing_ok=True)
@@ -139,7 +139,7 @@ def test_noise_after_the_magic_bytes(tmp_path: Path) -> None:
 
 
 def numbers(data: bytes, channel: int) -> list[int]:
-    """Return the numbers of the messages that can be read."""
+    """Return the sequence numbers of the readable messages."""
     view = memoryview(data)
     return [sequence for sequence, _, _ in messages(view, contents(view), channel)]
 
@@ -164,7 +164,7 @@ def test_other_readers_find_everything() -> None:
         if i == 6:
             writer.close_chunk()
     writer.close_chunk()
-    writer.close_chunk()  # nothing in it: nothing is written
+    writer.close_chunk()  # empty: nothing is written
     writer.finish()
     for validated in (False, True):
         reader = make_reader(io.BytesIO(file.getvalue()), validate_crcs=validated)
@@ -214,7 +214,7 @@ def test_memory_does_not_grow_with_the_chunks_of_a_day(tmp_path: Path) -> None:
 
 
 def test_an_index_whose_descriptor_was_closed_costs_the_summary_and_no_message(tmp_path: Path) -> None:
-    """After five minutes the index is in a file without a name; nothing goes into the file that has its number then."""
+    """After five minutes, the index is in an unnamed file; a file that reuses its descriptor is not written to."""
     count, path, other = 3000, tmp_path / "long.mcap", tmp_path / "other"
     with path.open("xb", buffering=0) as file:
         writer, a, _ = begun(file)
@@ -269,7 +269,7 @@ def test_what_follows_an_open_chunk_costs_nothing_before_it(noise: bytes) -> Non
 
 @pytest.mark.parametrize("taken", [0, 9, 57])
 def test_a_header_of_which_the_disk_takes_a_part_hides_no_message(taken: int) -> None:
-    """It is written over the open one in a file that is there already: that is what a failure must leave."""
+    """The header overwrites that of the open chunk in the file; a failed write must leave the open one."""
 
     class Failing(io.BytesIO):
         failures = 1
@@ -279,7 +279,7 @@ def test_a_header_of_which_the_disk_takes_a_part_hides_no_message(taken: int) ->
                 self.failures -= 1
                 super().write(bytes(data)[:taken])
                 raise OSError(errno.EIO, "Input/output error")
-            return super().write(bytes(data)[:40])  # a file that takes less than given gets the rest
+            return super().write(bytes(data)[:40])  # after a short write, the rest is written
 
     file = Failing()
     writer, a, _ = begun(file)
@@ -342,7 +342,7 @@ def test_nothing_is_overwritten_and_nothing_half_is_left(torn: Path, tmp_path: P
     empty.write_bytes(torn.read_bytes()[:40])
     with pytest.raises(LogError, match="Expected messages in"):
         recover(empty)
-    with pytest.raises(LogError, match="File exists"):  # a file that comes meanwhile
+    with pytest.raises(LogError, match="File exists"):  # a file created meanwhile
         recover(torn, late, progress=lambda *_: late.write_bytes(b"another's") and None)
     assert late.read_bytes() == b"another's"
     assert not list(tmp_path.glob("*.part"))
@@ -355,7 +355,7 @@ def test_no_chunk_is_left_out_without_a_word(recording: Callable[..., Path], pla
     data = bytearray(path.read_bytes())
     chunk = contents(memoryview(bytes(data))).chunks[1]
     data[chunk.start + place] ^= 0x40
-    data[-100] ^= 1  # of the summary, which would know better
+    data[-100] ^= 1  # in the summary, which would show the chunk
     path.write_bytes(data)
     with pytest.warns(UserWarning, match=rf"record of kind {70 if place == 0 else 6} at byte {chunk.start} skipped"):
         rows = len(read(path))

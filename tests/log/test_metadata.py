@@ -1,4 +1,4 @@
-"""Metadata, attachments and events of a recording, and secrets that are taken out of them."""
+"""Metadata, attachments and events of a recording, and secrets that are removed from them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from armlab.log.recording.recorder import Recorder
 from armlab.robots import Robot, from_toml, load, to_toml
 
 MARKER = "q7Zw"
-LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # of which no name of a secret can be made
+LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # cannot form the name of a secret
 SCALARS = st.one_of(st.integers(0, 9), st.booleans(), LETTERS)
 HIDING = st.recursive(
     st.sampled_from([MARKER, f"a\n{MARKER}\n  b", f" {MARKER}", f"a # {MARKER}", f"]}}'\"\\\n{MARKER}"]),

@@ -1,4 +1,4 @@
-"""`read` and `read_arm`, and how files are told apart."""
+"""`read` and `read_arm`, and how file formats are detected."""
 
 from __future__ import annotations
 
@@ -90,14 +90,14 @@ def test_some_columns_or_one_robot_only(
     assert told[-1][0] == told[-1][1] > 0
     assert {what for *_, what in told} == {"bytes"}
     assert names_robots(path)
-    bag = write(whole, tmp_path / "run.rosbag2")  # what armlab exports names no robot
+    bag = write(whole, tmp_path / "run.rosbag2")  # exported bags name no robot
     assert not names_robots(bag)
     with pytest.raises(ConfigError, match="which does not name a robot"):
         read(bag, robot="yumi_right")
     for one in (path, write(read(path, ["q"]), tmp_path / "run.csv")):
         with pytest.raises(ConfigError, match=r"for clock='/joint_states', got .*run.* Omit clock="):
             read(one, clock="/joint_states")
-    own = replace(robot, name="arm-1 left")  # cannot stand in a topic
+    own = replace(robot, name="arm-1 left")  # invalid in a topic name
     with Recorder(tmp_path / "own.mcap", own) as recorder:
         recorder.row(*rows(0))
     for name in (own, "arm-1 left", "arm_1_left"):
@@ -201,7 +201,7 @@ def test_foreign_damaged_and_missing_files_are_refused_in_a_sentence(tmp_path: P
         with pytest.raises(LogError, match="Expected a log at"):
             read(missing)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(LogError, match="got a pipe"):  # and not waited for
+    with pytest.raises(LogError, match="got a pipe"):  # without waiting for it
         check_readable(tmp_path / "pipe")
 
 
@@ -289,7 +289,7 @@ def test_formats() -> None:
 
 
 def test_the_hash_of_a_table_never_changes_and_depends_on_neither_nan_bits_nor_padding() -> None:
-    """Model files refer to it: a new value here breaks every model file's link to its log."""
+    """Model files refer to the hash: a new value here breaks every model file's link to its log."""
     table = Table([0.0, 0.5], {"q": [[1.0], [np.nan]], "seq": [1, 2]}, {})
     assert table.sha256 == "164643750a016c3d86447c5228ca174c0140b35bf7485e8e5c888912c09129b0"
     odd = np.array([0x7FF8000000000001, 0], dtype=np.uint64).view(float)

@@ -28,7 +28,7 @@ from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot
 from armlab.state import Command
 
-PATIENCE = 20.0  # s: only a test that fails waits so long
+PATIENCE = 20.0  # s: only a failing test waits this long
 
 
 def event_texts(path: Path) -> list[str]:
@@ -73,7 +73,7 @@ def test_row_never_raises_and_says_what_it_did_not_write(tmp_path: Path, robot: 
 def test_text_that_is_no_utf8_does_not_end_the_recording(
     tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    half = "caf\udce9"  # as Python reads the name of a file in Latin-1, and "\\udce9" in JSON
+    half = "caf\udce9"  # as Python reads a Latin-1 file name, and "\\udce9" in JSON
     monkeypatch.setattr(sys, "argv", ["armlab", "run", "--log", half])
     with Recorder(tmp_path / "run.mcap", robot, note=half, attachments={half: b"data"}) as recorder:
         state, command, tick = rows(0)
@@ -169,7 +169,7 @@ except KeyboardInterrupt:
 
 
 def program(path: Path, period: float) -> subprocess.Popen[str]:
-    """A process that records rows, prints how many, and leaves the end to the recorder."""
+    """A process that records rows, prints their number, and leaves finishing to the recorder."""
     return subprocess.Popen([sys.executable, "-c", PROGRAM, str(path), str(period)], stdout=subprocess.PIPE, text=True)
 
 
@@ -229,7 +229,7 @@ def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
 def test_a_sync_that_fails_stops_the_recorder(
     tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch, is_last: bool
 ) -> None:
-    """The kernel tells it once: the sync at the end seems to do well, and what was lost would be lost in silence."""
+    """The kernel reports the error once: the final sync seems to succeed, and the loss would go unnoticed."""
     errors = [OSError(errno.EIO, "Input/output error")]
 
     def broken_once(_: int) -> None:
@@ -251,12 +251,12 @@ def test_a_sync_that_fails_stops_the_recorder(
 def test_waiting_instead_of_dropping(
     tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sample, count = rows(0), 2 * QUEUE_ROWS + 1  # the thread that hangs in the disk has taken a full queue at most
+    sample, count = rows(0), 2 * QUEUE_ROWS + 1  # the blocked writer thread has taken at most a full queue
     with Recorder(tmp_path / "run.mcap", robot, wait=True) as recorder:
         moves, write = threading.Event(), recorder._file.write
         monkeypatch.setattr(recorder._file, "write", lambda *rows: moves.wait(PATIENCE) and write(*rows))
         waited = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: moves.set())
-        monkeypatch.setattr("armlab.log.recording.recorder.time", waited)  # the disk comes back once row() waits
+        monkeypatch.setattr("armlab.log.recording.recorder.time", waited)  # the disk recovers once row() waits
         for i in range(count):
             assert recorder.row(sample[0], None, sample[2]._replace(number=i))
     assert moves.is_set()
@@ -290,7 +290,7 @@ def test_a_recording_has_no_name_of_another_format(name: str, tmp_path: Path, ro
 
 
 def replace_it(file: PersistentFile, folder: Path) -> int:
-    """Close it and open another file, which gets its number."""
+    """Close the file and open another one, which gets its descriptor."""
     number = file.fileno()
     os.close(number)
     assert os.open(folder / "other", os.O_CREAT | os.O_WRONLY) == number
@@ -332,7 +332,7 @@ def test_a_file_of_somebody_else_is_neither_written_nor_closed(tmp_path: Path) -
     assert (tmp_path / "run-2").read_bytes() == b"theirs"
 
 
-MOST_ROWS = 25  # 0.1 s: written is every 0.04 s, and the thread that does it may wait for a core
+MOST_ROWS = 25  # 0.1 s: rows are written every 0.04 s, and the writer thread may wait for a core
 
 
 def kill_one(path: Path, seconds: float) -> tuple[int, int]:

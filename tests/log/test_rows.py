@@ -47,7 +47,7 @@ def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:
     long = layout.pack(replace(state, rapid_data=np.array([7.0])), command, sent)
     assert len(long) == layout.size == len(short) + 8 * (6 + 6 + 40 + 40 + 2)
     found = layout.unpack([short, long])
-    for name in SELDOM:  # of RAPID, what was never said is missing, not False
+    for name in SELDOM:  # RAPID data that were never sent are missing, not False
         assert np.isnan(found[name][0]).all(), name
     assert found["q_ext_ref"][1, :3].tolist()[:2] == [0.5, -0.5]
     assert found["q_ext_sent"][1, 0] == 0.4
@@ -62,7 +62,7 @@ TYPES = ("Tick", "Column", "WrenchEstimate", "Parameter")
 
 
 def written(topic: Topic, layout: RowLayout, row: bytes, stamp_ns: int) -> bytes | None:
-    """Return the message of a topic that is written of a row with another stamp, if any."""
+    """Return the message, if any, that is written to a topic for a row with another stamp."""
     planned: Plan = plan(3, topic, layout.slots)
     records, *_ = RowEncoder([planned]).encode([stamp_ns.to_bytes(8, "little") + row[8:]])
     return next((message for *_, message in messages_in(records)), None)
@@ -70,7 +70,7 @@ def written(topic: Topic, layout: RowLayout, row: bytes, stamp_ns: int) -> bytes
 
 @pytest.fixture(scope="module")
 def store():
-    """A reader that knows nothing but the texts in the file."""
+    """A reader that knows only the message definitions in the file."""
     store = get_typestore(Stores.EMPTY)
     types: dict = {}
     for name in (*(f"armlab_msgs/msg/{own}" for own in TYPES), "rcl_interfaces/msg/Log", "sensor_msgs/msg/JointState"):
@@ -171,7 +171,7 @@ def test_pushed_values_become_columns_and_nothing_else(robot: Robot) -> None:
         before = log.table()
         log.push(t=0.5 + i * 0.004, q=np.full(7, i), fext=np.arange(6) if i % 2 else np.full(6, np.nan))
     table = log.table()
-    assert (len(log), len(table), len(before)) == (20, 20, 19)  # a table stays valid while pushing goes on
+    assert (len(log), len(table), len(before)) == (20, 20, 19)  # a table stays valid while more rows are pushed
     assert set(table.names) == {"q", "fext", "tick", "session"}
     assert table.t == pytest.approx(0.5 + np.arange(20) * 0.004)
     assert np.array_equal(table["q"][:, 3], np.arange(20))

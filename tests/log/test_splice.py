@@ -21,7 +21,7 @@ ROWS = 300
 
 @pytest.fixture
 def record(tmp_path: Path, rows: Callable, extra: dict[str, Column]) -> Callable[..., Path]:
-    """Record rows [first, last) of the made-up run of an arm, with events and parameters between them."""
+    """Record rows [first, last) of the synthetic run of an arm, with events and parameters between them."""
 
     def recorded(name: str, first: int = 0, last: int = ROWS, robot: str = "yumi_right") -> Path:
         arm = robots.load(robot)
@@ -62,7 +62,7 @@ def test_a_cut_is_a_whole_recording_with_all_that_belongs_to_it(record: Callable
     assert (held.finished, held.metadata) == (True, original.metadata)
     assert held.attachments["robot.toml"] == b"yumi_right"
     assert texts(part) == ["event 150", "event 210", "event 270"]
-    assert [one.value for one in held.parameters] == [0.0, 150.0]  # what was in force, and what changed
+    assert [one.value for one in held.parameters] == [0.0, 150.0]  # the value in effect, and the change
     assert (held.summary["rows"], held.summary["originals"]) == (len(read(part)), {"run.mcap": original.summary})
     assert 0 < told[-1][0] <= told[-1][1]
     with AnyReader([part]) as reader:
@@ -233,7 +233,7 @@ def test_a_full_disk_and_ctrl_c_leave_nothing_behind(
 
 @pytest.fixture
 def holed(tmp_path: Path, rows: Callable) -> Callable[..., Path]:
-    """Record 60 rows of an arm, of which some are lost, from a tick of 0."""
+    """Record 60 rows of an arm from tick 0 on, some of them lost."""
 
     def recorded(name: str, lost: tuple[int, ...], robot: str = "yumi_right", first: int = 0) -> Path:
         with Recorder(tmp_path / name, robots.load(robot)) as recorder:

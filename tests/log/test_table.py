@@ -345,7 +345,7 @@ def test_gaps_are_not_bridged() -> None:
     assert np.all(found["word"][gap] == "")
     assert not np.isnan(table.resample(200.0, max_gap=0.5)["q"]).any()
     q = ramp()["q"].copy()
-    q[50] = np.nan  # stays, and spoils only its neighbours
+    q[50] = np.nan  # stays NaN, and affects only its neighbours
     found = ramp().with_column("q", q).resample(200.0)
     assert np.flatnonzero(np.isnan(found["q"]).any(axis=1)).tolist() == [99, 100, 101]
 

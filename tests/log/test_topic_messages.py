@@ -1,4 +1,4 @@
-"""Messages of other programs in every encoding."""
+"""Messages from other programs in every encoding."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_json() -> None:
     with pytest.raises(LogError, match=r"Expected a message in JSON, got: Input data was truncated\."):
         numbers_in_json(b"{")
     assert len(numbers_in_json(b"[%b]" % b",".join([b"1"] * 5000))["value"]) == 5000  # a scan, whole
-    assert len(numbers_in_json(b"[" * 40 + b"1" + b"]" * 40)) == 0  # deeper than anything that measures
+    assert len(numbers_in_json(b"[" * 40 + b"1" + b"]" * 40)) == 0  # deeper than any real measurement
 
 
 def test_messages_become_fields() -> None:

@@ -1,4 +1,4 @@
-"""Logs of other programs: streams of their topics, and what is read of whole files."""
+"""Logs from other programs: streams of their topics, and tables read from whole files."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_bag_of_a_ur5e(ros: Any, tmp_path: Path, storage: str) -> None:
     np.testing.assert_allclose(table["wrench_raw_age"], rows % 2 * 0.002, atol=1e-9)
     np.testing.assert_array_equal(table["tf.base_link.tool0"][:, 0, 3], rows // 5 * 5)
     assert table.columns["tf.base_link.tool0"].frame == "base_link"
-    np.testing.assert_array_equal(table["tf_static.world.base_link"][:, 2, 3], np.ones(40))  # before it was told, too
+    np.testing.assert_array_equal(table["tf_static.world.base_link"][:, 2, 3], np.ones(40))  # also before it was sent
     np.testing.assert_array_equal(table["commands"][:, 1], -(rows // 5 * 5))  # without stamps, less the delay of rows
     assert table.notes == (
         "skipped: /robot_description (std_msgs/msg/String)",
@@ -107,7 +107,7 @@ def test_joints_of_another_robot_are_listed_on_both_sides(ros: Any, tmp_path: Pa
 
 
 def test_two_arms(ros: Any, tmp_path: Path) -> None:
-    """Two robots of one type, in a namespace each, and with a prefix in the names of the joints."""
+    """Two robots of the same type, each in its own namespace and with its own joint name prefix."""
     messages = []
     for i in range(4):
         ns = ros.start + i * STEP
@@ -134,7 +134,7 @@ def test_two_arms(ros: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["ros_joint_names", "joint_names"])
 def test_topics_of_a_yumi(ros: Any, tmp_path: Path, kind: str) -> None:
-    """`ros2 bag record` of the bridge's topics; bags of both arms are told apart by the names."""
+    """`ros2 bag record` of the bridge's topics; in bags, both arms are distinguished by their names."""
     arms = [robots.load(name) for name in ("yumi_left", "yumi_right")]
     messages = [
         (f"/{arm.name}/joint_states", ns, ros.joints(ns, reversed(getattr(arm, kind)), k + np.arange(7)[::-1]))
@@ -255,7 +255,7 @@ def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:
 
 
 def bag_of_one(path: Path, text: str, raw: bytes) -> Path:
-    """Write a ROS 1 bag with a message of a type that may hold messages without fields."""
+    """Write a ROS 1 bag with one message whose type may contain messages without fields."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(f"{text}\n{'=' * 80}\nMSG: lab_msgs/Nothing\n", "lab_msgs/msg/One"))
     with Ros1Writer(path) as bag:
@@ -264,14 +264,14 @@ def bag_of_one(path: Path, text: str, raw: bytes) -> Path:
 
 
 def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
-    """They have no byte in ROS 1 and one in ROS 2."""
+    """Such messages take no byte in ROS 1 and one in ROS 2."""
     text = "Nothing a\nuint8 x\nbyte b\nbyte[2] c\nfloat64 y"
     path = bag_of_one(tmp_path / "run.bag", text, struct.pack("<B3bd", 7, -1, -2, 3, 2.5))
     table = read_topics(path)["/one"]
     assert {name: table[name].tolist() for name in table.names} == {
         "one.x": [7], "one.b": [-1], "one.c": [[-2, 3]], "one.y": [2.5],
     }  # fmt: skip
-    path = bag_of_one(tmp_path / "endless.bag", "Nothing[] a", b"\xff\xff\xff\xff")  # as many as a message says
+    path = bag_of_one(tmp_path / "endless.bag", "Nothing[] a", b"\xff\xff\xff\xff")  # as many as the message claims
     with pytest.warns(
         UserWarning, match=r"skipped: /one \(Expected at most 16 fields per byte in the elements of a of"
     ):
@@ -404,7 +404,7 @@ def test_a_header_of_another_clock_is_not_believed() -> None:
     np.testing.assert_allclose(table["cam_age"][1:], 0.01 - 1e-6, atol=1e-8)
     np.testing.assert_allclose(table["n_age"][1:], 0.01 - 1e-6, atol=1e-8)
     by_log = table_of_streams(PATH, [arm, plain], Choice(clock="/n"), ())
-    assert by_log.t0_ns == 10**18 + 1000  # a clock without headers: everything when it was recorded
+    assert by_log.t0_ns == 10**18 + 1000  # a clock without headers: recording times are used
     np.testing.assert_allclose(by_log["q_age"], 1e-6, atol=1e-8)
 
 

@@ -1,4 +1,4 @@
-"""Logs whose units or sides of the gears are mistaken."""
+"""Logs in wrong units or on the wrong side of the gears."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_rest_glitches_a_dead_joint_and_joints_without_end_are_no_reason_to_refu
 
 
 def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -> None:
-    """The arm is judged by its reach: at the motors of a gear of 100 it would hold itself up with a finger's force."""
+    """Judged by its reach: with motor torques at a gear ratio of 100, a finger could hold the arm up."""
     robot = truth.robot
     assert robot.inertias is None
     words = r"motor torques for .*axis_1 \(gear ratio 100\).*reach.*motor_torque_to_joint"
@@ -93,14 +93,14 @@ def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -
     with pytest.raises(ShapeError, match="Multiply the torque by the gear ratio, and add the coupling to the robot"):
         prepare(changed(excited, tau=excited["tau"] / 100), silent)
     links = np.tile(np.eye(4), (3, 1, 1))
-    links[1:, 0, 3] = 0.3  # all axes upright lift nothing: torque may be as small as it likes
+    links[1:, 0, 3] = 0.3  # vertical axes lift nothing, so torques may be arbitrarily small
     q = np.random.default_rng(1).standard_normal((100, 2))
     check_torque(q, 1e-6 * q, np.ones(2, dtype=bool), robots.from_links("scara", links))
 
 
 @pytest.mark.parametrize("gear", [30.0, 100.0])
 def test_torque_of_the_motors_with_masses_in_the_robot_file(gear: float) -> None:
-    """Masses of a CAD drawing, wrong by a third and without friction, still tell a motor from a joint."""
+    """CAD masses that are off by a third, without friction, still distinguish motor from joint torques."""
     robot = replace(robots.load("ur5e"), coupling=np.eye(6) / gear)
     q, qd, qdd = dither(robot.q_home, 10.0, amplitude=0.6, frequency=0.2).sample(np.arange(0, 10, 0.008))
     tau = robot.chain.rnea(q, qd, qdd, robot.gravity, 1.3 * robot.inertias) + 5.0 * np.sign(qd)
@@ -112,7 +112,7 @@ def test_torque_of_the_motors_with_masses_in_the_robot_file(gear: float) -> None
 
 
 def test_a_torque_that_hardly_ever_changes(truth, excited) -> None:
-    """Quantised to nothing: one value in most rows. A joint whose torque is not fitted may do so."""
+    """Quantised to a single value in most rows. A joint whose torque is not fitted may be like this."""
     tau = excited["tau"].copy()
     tau[:, 6] = np.round(tau[:, 6] / 1.0)
     tau[np.arange(len(tau)) % 10 != 0, 6] = 0.0

@@ -255,7 +255,7 @@ OURS += [(".rosbag2", storage) for storage in STORAGES]
 
 
 def check_round_trip(ending: str, storage: str, folder: Path, table: Table) -> None:
-    """Check that a table comes back the same; poses of a rosbag2 go through quaternions."""
+    """Check that a table is read back unchanged; poses of a rosbag2 go through quaternions."""
     if ending == ".rosbag2":
         table = replace(table, t0_ns=abs(table.t0_ns) % 2**60, notes=())
     again = log.read(log.write(table, folder / f"run{ending}", storage=storage))
@@ -358,7 +358,7 @@ def test_damaged_bags(table_bag: Table, tmp_path: Path, storage: str, read_spoil
         read_spoilt(path, file, 5)
     assert log.read(path).names == table_bag.names
     for file in path.glob("run*"):
-        again = log.read(file)  # a piece of it alone is read as any other program's
+        again = log.read(file)  # a part on its own is read like any other program's
         np.testing.assert_array_equal(again["q"], table_bag["q"])
         file.unlink()
     with pytest.raises(LogError, match="a valid rosbag2"):

@@ -98,7 +98,7 @@ def test_damaged_fields_are_refused_in_one_line(tmp_path: Path) -> None:
     ],
 )
 def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tmp_path: Path) -> None:
-    """A value of them would be refused, with a traceback, when it is saved again."""
+    """A value with such sources would be refused, with a traceback, when saved again."""
     path = models.save(value(), tmp_path / "outer.toml")
     head, _, rest = path.read_text().partition("[value.sources]")
     path.write_text(f"{head}[value.sources]\n{sources}\n{rest[rest.index(']') + 1 :]}")

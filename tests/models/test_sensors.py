@@ -1,4 +1,4 @@
-"""Models of sensors, of cameras, of loads and of calibrated kinematics."""
+"""Models of sensors, cameras, loads and calibrated kinematics."""
 
 from __future__ import annotations
 
@@ -231,7 +231,8 @@ def test_joints_and_their_inverse(value, q) -> None:
 
 
 def test_the_covariance_of_a_pose_is_that_of_draws(value, q) -> None:
-    """Numbers drawn from `cov`, put into frames and joints: the scatter of the pose, v in base axes, w in tool axes."""
+    """Samples drawn from `cov`, applied to frames and joints: the scatter of the pose, v in base axes, w in tool
+    axes."""
     rng, terms = np.random.default_rng(3), np.random.default_rng(2).standard_normal((4, 6, 2))
     root = np.linalg.svd(value.cov)
     draws = rng.standard_normal((500, 20)) @ (root.U[:, :20] * np.sqrt(root.S[:20])).T

@@ -72,7 +72,7 @@ def test_gains_change_the_reading_and_not_the_force(model, calibrated, method: s
 
 @pytest.mark.parametrize("point", [None, [0.0, 0.0, 0.1]], ids=["wrench", "point"])
 def test_an_interval_holds_for_all_that_the_gains_may_be(model, point: list[float] | None) -> None:
-    """Gains known to 3 %: three deviations further at both ends, of an axis that is held by its box not at all."""
+    """Gains known to 3 %: both ends move out by three standard deviations, except for an axis held by its box."""
     yumi = robots.load("yumi_left")
     known = replace(model, gains=np.ones(7), gain_cov=np.zeros((7, 7)))
     log = pushed(known, yumi).between(0.0, 0.1)
@@ -178,7 +178,7 @@ def test_a_drive_settles_at_thermal_state_one_under_the_reference_power() -> Non
 
 
 def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
-    """At constant velocity the viscous and Coulomb torque go with the warmth, which goes with their power."""
+    """At constant velocity, viscous and Coulomb torque follow the warmth, which follows their power."""
     part = warm_up(7, time=5.0)
     warm = load(save(replace(model, warm_up=part), tmp_path / "model.toml"))
     t = np.arange(0, 40, 0.01)
@@ -201,7 +201,7 @@ WRIST = CoupledMotors(np.array([[0, 0, 0, 0, 0, 0.5, 1.0]]), [0.02], [0.3], [0.4
 
 
 def test_one_motor_of_two_joints() -> None:
-    """Row and column: what it takes of one joint for the other's motion it takes of the other for the one's."""
+    """Row and column are symmetric: each joint's motion takes the same torque from the other joint."""
     qd, qdd = np.zeros(7), np.zeros(7)
     qdd[5] = 2.0
     np.testing.assert_allclose(WRIST.torque(qd, qdd)[5:], 0.02 * 2.0 * 0.5 * np.array([0.5, 1.0]))

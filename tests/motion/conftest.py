@@ -52,14 +52,14 @@ def poses(t: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def pose_demo() -> tuple[np.ndarray, np.ndarray]:
-    """Times (251,) of a second and poses (251, 4, 4): 0.2 m and a radian, at rest at both ends."""
+    """Times (251,) over one second and poses (251, 4, 4): 0.2 m and one radian, at rest at both ends."""
     t = np.linspace(0.0, 1.0, 251)
     return t, poses(t)
 
 
 @pytest.fixture(scope="session")
 def pose_fit(pose_demo: tuple[np.ndarray, np.ndarray]) -> Fit[PoseDmp]:
-    """The primitive of `pose_demo`."""
+    """The primitive fitted to `pose_demo`."""
     return fit_pose_dmp(*pose_demo)
 
 
@@ -72,7 +72,7 @@ def plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarr
 
 
 def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Dmp:
-    """A primitive with random weights; unless told otherwise its coordinates are multiples of the first."""
+    """A primitive with random weights; by default, its coordinates are multiples of the first."""
     draw = np.random.default_rng(seed)
     centres = np.exp(-3 * np.linspace(0, 1, 20))
     shares = 0.5 ** np.arange(n)
@@ -82,7 +82,7 @@ def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Dmp:
 
 @pytest.fixture(scope="session")
 def reach() -> Dmp:
-    """Two seconds from the home posture, starting softly."""
+    """A two-second primitive from the home posture, starting softly."""
     parts = {"y0": YUMI.q_home, "g": YUMI.q_home + REACH, "v0": np.zeros(7)}
     draw = np.random.default_rng(3)
     return primitive(n=7, weights=(10 * draw.normal(size=(20, 7)) - 156.25) * REACH, **parts)
@@ -90,7 +90,7 @@ def reach() -> Dmp:
 
 @dataclass
 class Ideal:
-    """An arm that is where it was told to be one packet ago; a hand may hold it."""
+    """An arm at the position commanded one packet ago; a hand may hold it."""
 
     q: np.ndarray
     qd: np.ndarray

@@ -1,6 +1,6 @@
-"""Defects of DynamicMovementPrimitives.jl and traps of its peers that are not to come here.
+"""Defects of DynamicMovementPrimitives.jl and pitfalls of its peers that armlab must not repeat.
 
-Their table is docs/decisions/ancestor.md; those of the two-link arm have their tests with it.
+They are listed in docs/decisions/ancestor.md; those of the two-link arm are tested with it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def test_11_late_samples_weigh_as_much_as_early_ones() -> None:
 
 
 def test_16_a_blow_does_not_make_it_stiff() -> None:
-    """A displacement of 2: in the state yc' a term of 1000 per second, which steps of 4 ms do not follow."""
+    """A displacement of 2: with the state yc', a term of 1000 per second, too stiff for steps of 4 ms."""
     two_dof, t = TwoDofDmp(fit_dmp(T, RAMP, method="lwr", n_basis=15, spacing="phase").value), np.arange(0.0, 10.0, 0.1)
     events = [Displace(2.5, 2.0), Hold(2.5, 4.0)]
     coarse, fine = (two_dof.simulate(t, events, dt=dt) for dt in (4e-3, 5e-4))

@@ -1,4 +1,5 @@
-"""Motions as controllers: no jump, true time, limits that act last, goal, speed and stop on the way, each kind."""
+"""Motions as controllers: no jumps, correct timing, limits applied last; changes of goal, speed and stops; each
+kind."""
 
 from __future__ import annotations
 
@@ -47,9 +48,9 @@ def test_from_where_the_arm_is_to_the_goal_without_a_jump(reach: Dmp, kind: str)
 
 @KINDS
 def test_packets_that_come_late_do_not_bend_the_path(reach: Dmp, kind: str) -> None:
-    """Packets are lost again and again, up to nine in a row: the motion is in time nevertheless.
+    """Packets are lost repeatedly, up to nine in a row, but the motion stays on time.
 
-    The arm keeps the acceleration it was given last, so with two degrees of freedom it is only near.
+    The arm keeps the last commanded acceleration, so with two degrees of freedom it is only close.
     """
     even, q = made(reach, kind), arm()
     path, _ = q.run(even, 2.5)
@@ -76,7 +77,7 @@ def test_a_gap_ends_the_run_and_says_so(reach: Dmp, kind: str) -> None:
 
 
 def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(reach: Dmp) -> None:
-    """A force that is no number, and a motion that cannot begin."""
+    """A force that is NaN, and a motion that cannot begin."""
     pushed = TwoDofDmp(reach).controller(ROBOT, give_way=lambda _: np.full(7, np.nan))
     yumi = arm()
     yumi.packet(pushed)
@@ -120,7 +121,7 @@ def test_limits_act_last_and_are_told(reach: Dmp, kind: str) -> None:
 
 @KINDS
 def test_speed_and_stop_keep_the_path(reach: Dmp, kind: str) -> None:
-    """Slower, to a stop, and on: the same curve in joint space, other times."""
+    """Slowing down, stopping and resuming: the same curve in joint space at other times."""
     plain, _ = arm().run(made(reach, kind), 3.0)
     controller, yumi = made(reach, kind), arm()
     first, _ = yumi.run(controller, 0.6)
@@ -206,7 +207,7 @@ def test_what_it_records_is_declared(reach: Dmp) -> None:
 
 
 def test_several_arms_are_one_motion(reach: Dmp) -> None:
-    """A State of two arms has their joints one after another; each arm has its limits."""
+    """A State of two arms concatenates their joints; each arm has its own limits."""
     left = robots.load("yumi_left")
     arms: Arms = (left, ROBOT)
     assert robots_of(arms) == arms
@@ -250,7 +251,7 @@ def test_importing_motions_loads_no_logs() -> None:
 
 
 def test_a_plain_primitive_is_its_rollout(reach: Dmp) -> None:
-    """It starts at rest, however the demonstration did."""
+    """The motion starts at rest, however the demonstration started."""
     moving = replace(reach, v0=np.full(7, 0.1))
     q, _ = arm().run(moving.controller(ROBOT, duration=3.0), 3.0)
     path = reach.rollout(PERIOD * np.arange(len(q)), duration=3.0, v0=np.zeros(7))
@@ -258,8 +259,8 @@ def test_a_plain_primitive_is_its_rollout(reach: Dmp) -> None:
 
 
 def test_a_held_arm_is_waited_for(reach: Dmp) -> None:
-    """What the plain primitive cannot: behind a hold of two seconds it goes on where it was, not where it would be."""
-    for e_max, frozen in ((0.3, False), (0.01, True)):  # frozen, the path stands still and says so
+    """Unlike the plain primitive, it resumes after a two-second hold where it was, not where it would have been."""
+    for e_max, frozen in ((0.3, False), (0.01, True)):  # when frozen, the path stands still and reports it
         controller = TwoDofDmp(reach, e_max=e_max).controller(ROBOT, give_way=lambda _: np.zeros(7))
         yumi = arm()
         yumi.run(controller, 0.8)
@@ -276,7 +277,7 @@ def test_it_gives_way_to_what_a_contact_adds(reach: Dmp) -> None:
 
 
 def test_a_log_of_the_loop_is_a_run(reach: Dmp) -> None:
-    """What the controller records, in a Table of any source, is what `plots.two_dof` draws."""
+    """`plots.two_dof` draws the columns that the controller records, from a Table of any source."""
     two_dof, yumi = TwoDofDmp(reach), arm()
     controller = two_dof.controller(ROBOT)
     rows = []
@@ -286,7 +287,7 @@ def test_a_log_of_the_loop_is_a_run(reach: Dmp) -> None:
         rows.append({"q": q, "qd": qd, **yumi.packet(controller).record})
     columns = controller.columns()
     values = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
-    values["path"][0] = np.nan  # a packet for which the controller was not asked
+    values["path"][0] = np.nan  # a packet for which the controller was not called
     table = Table(PERIOD * np.arange(300), values, columns=columns)
     run = two_dof.recorded(table, [(0.4, 0.8)])
     np.testing.assert_array_equal(run.yc, values["path"][1:])

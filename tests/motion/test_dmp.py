@@ -1,4 +1,4 @@
-"""Movement primitives: their equation, runs, runs sample by sample, goals that move, and via-points."""
+"""Movement primitives: their equation, runs, sample-by-sample runs, moving goals, and via-points."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_rollout_tends_to_the_solution_with_fourth_order(schedule: str) -> None:
     dmp = primitive(schedule, v0=np.zeros(3))
     slow = (
         -20 * (dmp.g - dmp.y0) * np.random.default_rng(0).uniform(size=(20, 3))
-    )  # no turn, where the phase would be clipped
+    )  # no reversal, where the phase would be clipped
     dmp = replace(dmp, weights=slow) if schedule == "position" else dmp
     fine = np.linspace(0, 2, 321)
     wanted = dmp.solve(fine, rtol=1e-12, atol=1e-13).y
@@ -119,7 +119,7 @@ def test_amplitude_multiplies_the_forcing() -> None:
 
 
 def test_progress_is_from_1_to_0_and_0_where_nothing_is_to_be_gone() -> None:
-    """Coordinate 0 backs off from its start, 1 shoots past its goal, 2 has none: its spring is alone."""
+    """Coordinate 0 backs away from its start, 1 overshoots its goal, 2 has no displacement: only its spring acts."""
     goal, speed = np.array([0.1, 0.01, 0.0]), np.array([-5.0, 5.0, 2.0])
     dmp = primitive("position", "none", y0=np.zeros(3), g=goal, v0=speed)
     run = dmp.rollout(np.linspace(0.0, 0.05, 101))
@@ -241,7 +241,7 @@ def test_the_velocity_stays_when_the_pace_changes() -> None:
 
 
 def reach(dmp: Dmp, when: float, goal: float, **options: Any) -> tuple[np.ndarray, float]:
-    """Path after the goal of a motion from 0 to 1 has changed, and the velocity then."""
+    """Path after a goal change in a motion from 0 to 1, and the velocity at the change."""
     stepper = dmp.stepper(**options)
     path = [stepper.step(0.002)[0][0] for _ in range(round(when * 500))]
     velocity = float(stepper.state[1][0])

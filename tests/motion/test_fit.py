@@ -239,7 +239,7 @@ def test_samples_have_the_mean_and_covariance_of_the_demonstrations() -> None:
 
 
 def drawn(seed: int, n: int, unit: float = 1.0, **options: Any) -> Experiment:
-    """Noisy samples of a primitive of known weights."""
+    """Noisy samples of a primitive with known weights."""
     t = np.linspace(0, 1, n)
     shape = np.stack([1 + S, 2 - S + 20 * (U - U**2) ** 3], axis=1)  # from rest to rest
     truth = fit_dmp(U, shape, n_basis=8, pin=("y0", "v0", "g"), hold=2.0).value
@@ -289,7 +289,7 @@ def test_noise_of_pinned_ends_is_in_the_covariance() -> None:
     ids=["default", "no hold", "free", "pinned", "known"],
 )
 def test_degrees_of_freedom_are_the_trace_of_what_residuals_are_of_the_samples(options: dict[str, Any]) -> None:
-    """A fit to the unit samples has that matrix as its residuals; ``sigma^2 = sum r^2 / trace``."""
+    """A fit to unit samples gives that matrix as its residuals; ``sigma^2 = sum r^2 / trace``."""
     t = np.linspace(0.0, 1.0, 40)
     fit = fit_dmp(t, np.eye(40), n_basis=6, scaling="none", **options)
     trace = abs(np.trace(fit.residuals))
@@ -306,7 +306,7 @@ def test_noise_of_a_position_phase_is_that_of_its_residuals() -> None:
 
 
 def test_the_start_velocity_is_the_nearest_to_those_of_the_demonstrations() -> None:
-    """``v0 s T0 / T`` is that of a demonstration s times as far in T seconds; the least squares of the three."""
+    """``v0 s T0 / T`` is the velocity for a demonstration s times as far in T seconds; v0 is the least-squares fit."""
     durations, ends, slopes = np.array([1.0, 2.0, 4.0]), np.array([1.0, 2.0, 6.0]), np.array([0.5, -0.2, 0.9])
     ts = [T * U[::10] for T in durations]
     ys = [end * S[::10] + slope * t * (1 - t / t[-1]) ** 2 for t, end, slope in zip(ts, ends, slopes)]

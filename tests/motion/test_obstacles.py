@@ -1,4 +1,4 @@
-"""Obstacles: gone around with the clearance asked, in the plane, in space and with an arm; not felt from afar."""
+"""Obstacles: avoided with the requested clearance, in the plane, in space and with an arm; no effect from afar."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_steering_angle_is_that_of_the_paper(space: Dmp) -> None:
 
 
 def test_fast_approach_is_braked_before_the_clearance(plane: Dmp) -> None:
-    """Ten times as fast as the guard's own rate allows for."""
+    """Ten times faster than the guard's own rate allows."""
     near = avoiding(plane, [Capsule.sphere(0.5 * (plane.y0 + plane.g), 0.02)])
     t = np.linspace(0.0, 0.4, 801)
     run = near.rollout(t, duration=0.1)
@@ -150,7 +150,7 @@ def test_steps_are_the_rollout(space: Dmp) -> None:
 
 
 def test_a_new_goal_within_the_clearance_is_refused(space: Dmp) -> None:
-    """Of where the obstacle is now: the motion would never be done. The old goal stays."""
+    """The obstacle's current position counts: otherwise the motion would never finish. The old goal stays."""
     stepper = AvoidingDmp(space, [Capsule.sphere([0.25, 0.3, 0.1], 0.03)], 0.02, 0.1).stepper()
     free, taken = [0.6, 0.1, 0.1], [0.25, 0.26, 0.1]
     stepper.change_goal(free)
@@ -166,7 +166,7 @@ def test_a_new_goal_within_the_clearance_is_refused(space: Dmp) -> None:
 
 
 def test_order_of_the_steps(space: Dmp) -> None:
-    """Where nothing but steering acts, whose terms are smooth: of fourth order."""
+    """Fourth order where only the smooth steering terms act."""
     one = AvoidingDmp(space, [Capsule.sphere([0.25, 0.2, 0.1], 0.03)], 0.0, 0.15)
     ends = [one.rollout(np.linspace(0.0, 0.6, N)).y[-1] for N in (201, 401, 801, 3201)]
     assert np.abs(ends[-1] - space.rollout([0.0, 0.6]).y[-1]).max() > 1e-4  # it acted
@@ -175,7 +175,7 @@ def test_order_of_the_steps(space: Dmp) -> None:
 
 
 def test_an_obstacle_that_moves_is_made_way_for(space: Dmp) -> None:
-    """It comes from the side with 0.4 m/s, and is told where it is every 0.1 s, or only once with its velocity."""
+    """It comes from the side at 0.4 m/s; its position is given every 0.1 s, or only once with its velocity."""
     velocity = np.array([0.0, -0.4, 0.0])
     for told in (25, 10_000):
         stepper = AvoidingDmp(space, [], 0.02, 0.1).stepper()

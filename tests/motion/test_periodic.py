@@ -1,4 +1,4 @@
-"""Rhythmic primitives: invariances, fits, runs sample by sample, and an arm that goes from rest and back to rest."""
+"""Rhythmic primitives: invariances, fits, sample-by-sample runs, and an arm that starts and ends at rest."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def test_baseline_amplitude_and_period_change_without_a_jump() -> None:
 
 
 def test_what_a_change_leaves_out_stays() -> None:
-    """In turn the amplitude, the baseline and the period: the others are those of before."""
+    """Amplitude, baseline and period are changed in turn: the others stay as before."""
     stepper, turn = SINE.stepper(g=[1.0], r=0.5, period=1.6), 2 * np.pi * 0.004
     stepper.step(0.004)
     for change, period, wanted in (
@@ -193,7 +193,7 @@ SECONDS = np.linspace(0.0, 4.0, 401)
 
 @pytest.fixture(scope="module")
 def rhythm() -> PeriodicDmp:
-    """Two joints go round twice in four seconds."""
+    """Two joints complete two cycles in four seconds."""
     y = np.tile(ROBOT.q_home, (401, 1))
     y[:, 0] += 0.2 * np.cos(np.pi * SECONDS)
     y[:, 1] += 0.1 * np.sin(np.pi * SECONDS)
@@ -206,7 +206,7 @@ def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp) -> None:
     q, _ = arm().run(controller, 9.0)
     t = CYCLE * np.arange(len(q))
     assert np.abs(q[0] - ROBOT.q_home).max() < 1e-9
-    assert np.abs(np.diff(q, axis=0)).max() / CYCLE < 1.2 * 0.2 * np.pi  # never faster than it was shown
+    assert np.abs(np.diff(q, axis=0)).max() / CYCLE < 1.2 * 0.2 * np.pi  # never faster than demonstrated
     full = (t > 3.0) & (t < 5.8)
     wanted = rhythm.g + rhythm.steady(2 * np.pi * t[full] / 2.0)[0]
     np.testing.assert_allclose(q[full], wanted, rtol=0, atol=2e-3)

@@ -1,4 +1,4 @@
-"""Primitives of poses: frames, invariances, fits, runs sample by sample, and the tool of an arm led along them."""
+"""Pose primitives: frames, invariances, fits, sample-by-sample runs, and an arm's tool guided along them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_start_and_goal_moved_together_move_the_path_in_the_frame_of_the_goal(po
 
 
 def test_the_forcing_of_the_orientation_is_scaled_before_it_is_turned(pose_fit: Taught) -> None:
-    """From another start, which scales each axis by itself, start and goal moved together still move the path."""
+    """From another start, which scales each axis separately, moving start and goal together still moves the path."""
     dmp = replace(pose_fit.value, frame="goal")
     start = dmp.T_start @ shifted([0.3, -0.2, 0.1], [0.05, 0.0, -0.02])
     here, there = dmp.rollout(0.01, start=start), dmp.rollout(0.01, start=MOVE @ start, goal=MOVE @ dmp.T_goal)
@@ -58,7 +58,7 @@ def test_the_forcing_of_the_orientation_is_scaled_before_it_is_turned(pose_fit: 
 
 
 def test_turns_about_one_axis_grow_with_the_displacement(pose_fit: Taught) -> None:
-    """Then orientations are one angle, for which the equation is linear; without scaling the forcing stays."""
+    """Orientations then reduce to one angle, for which the equation is linear; without scaling, the forcing stays."""
     dmp = pose_fit.value
     weights = dmp.rotation.weights * [0, 0, 1]
     dmp = replace(dmp, rotation=replace(dmp.rotation, weights=weights, y0=np.array([0, 0, 0.8]), v0=np.zeros(3)))
@@ -158,7 +158,7 @@ def off(dmp: PoseDmp, t: np.ndarray, T: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("n_basis", "hold", "bar"), [(50, 0.3, (2e-6, 1e-5)), (15, 0.0, (2e-4, 2e-4))])
 def test_the_motion_is_the_demonstration(n_basis: int, hold: float, bar: tuple[float, float]) -> None:
-    t = np.linspace(0.0, 1.0, 1000)  # the samples for which the bars hold
+    t = np.linspace(0.0, 1.0, 1000)  # the samples for which the targets hold
     fit = fit_pose_dmp(t, poses(t), n_basis=n_basis, hold=hold)
     position, angle = off(fit.value, t, poses(t))
     assert position < bar[0]
@@ -209,7 +209,7 @@ def test_noise_is_found_and_the_motion_is_nearer_than_the_samples(pose_demo: Dem
 
 
 def test_long_bent_turns_are_followed() -> None:
-    """The linear response of the weights leads nowhere here: 0.14 rad would be left."""
+    """The linear response of the weights fails here: an error of 0.14 rad would remain."""
     t = np.linspace(0.0, 2.0, 201)
     u = t / t[-1]
     s = 10 * u**3 - 15 * u**4 + 6 * u**5
@@ -269,7 +269,7 @@ START = forward(ROBOT, ROBOT.q_home)
 
 @pytest.fixture(scope="module")
 def path() -> PoseDmp:
-    """A second and a half: 0.1 m along y and up, turned by 0.4 rad."""
+    """A path of a second and a half: 0.1 m along y and up, with a rotation of 0.4 rad."""
     u = np.linspace(0.0, 1.0, 301)
     s = 10 * u**3 - 15 * u**4 + 6 * u**5
     T = np.tile(START, (301, 1, 1))

@@ -1,4 +1,4 @@
-"""What makes no sense gets a sentence from every kind of motion: what was expected, what came."""
+"""Invalid input: every kind of motion reports what it expected and what it got."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of movement primitives: each kind comes back to the last bit, and refuses what it does not know."""
+"""Files of movement primitives: each kind is read back bit-identically, and refuses unknown content."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS = {"dmp": Dmp, "two_dof_dmp": TwoDofDmp, "pose_dmp": PoseDmp, "periodic_dm
 
 @pytest.fixture(scope="module")
 def saved(pose_fit: Fit[PoseDmp]) -> dict[str, Any]:
-    """One of each kind, with numbers that have many digits."""
+    """One primitive of each kind, with many-digit numbers."""
     rng = np.random.default_rng(3)
     weights, centres, widths = rng.normal(size=(5, 2)), rng.uniform(size=5), rng.uniform(0.1, 1.0, 5)
     dmp = primitive(demo_weights=rng.normal(size=(3, 20, 3)), limits=np.array([[-9.0] * 3, [9.0] * 3]))

@@ -1,4 +1,4 @@
-"""Limits of velocity and acceleration: met exactly, on the same path, slower as a whole or only where it must be."""
+"""Velocity and acceleration limits: met exactly on the same path, slower as a whole or only where necessary."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ TOLERANCE = 1e-6  # of the limits
 
 
 def check(dmp: Dmp, v_max: np.ndarray, a_max: np.ndarray) -> PacedDmp:
-    """Check the three promises, at times that are not those at which the pace was planned."""
+    """Check the three guarantees at times other than those at which the pace was planned."""
     paced, stretched = retimed(dmp, v_max, a_max), shortest_duration(dmp, v_max, a_max)
     assert dmp.duration * (1 - 1e-12) <= paced.duration <= stretched * (1 + 1e-12)
     t = np.linspace(0.0, paced.t[-1], 10_007)
@@ -111,7 +111,7 @@ def test_random_primitives(seed: int, fast: float, hard: float) -> None:
 
 
 def test_least_time_of_a_straight_line() -> None:
-    """What can be said by hand: constant velocity, and y = s^2 from rest under a limit of acceleration."""
+    """Cases solved by hand: constant velocity, and y = s^2 from rest under an acceleration limit."""
     s = np.linspace(0.0, 1.0, 2001)
     y_s = (1.0 + 0.0 * s)[:, None]
     z = fastest(s[1], y_s, 0.0 * y_s, np.array([0.5]), np.array([1.0]))
@@ -145,7 +145,7 @@ def test_steps_are_the_rollout_and_far_goals_take_longer() -> None:
 
 
 def test_the_controller_is_not_limited_at_250_hz() -> None:
-    """Planned within 0.95 of the limits, no reference is cut off; the same motion as it was shown is."""
+    """Planned within 0.95 of the limits, no reference is clamped; the same motion as demonstrated is."""
     robot = robots.load("yumi_right")
     q = robot.q_home + S[:, None] * np.array([1.1, 0.1, 0.2, 0.2, -0.3, 0.4, 0.2])
     dmp = fit_dmp(0.5 * U, q, n_basis=20, scaling="none").value
@@ -159,4 +159,4 @@ def test_the_controller_is_not_limited_at_250_hz() -> None:
             command = controller(State(0.004 * k, 0.004, now, np.zeros(7), now))
             now, cut = command.q, cut or bool(controller.clamped.any())
         assert cut == wanted
-        assert controller.done == (not wanted)  # what was cut off is not caught up with
+        assert controller.done == (not wanted)  # clamped motion is not made up for

@@ -40,7 +40,7 @@ class Arm:
         self.first = first
 
     def tick(self, dt: float = DT, **fields: Any) -> bool:
-        """Give a packet; False once the motion has ended."""
+        """Process a packet; return False once the motion has ended."""
         given = {"qd": np.zeros(7), "q_sent": self.sent, "qd_sent": np.zeros(7), **self.first, **fields}
         command = self.controller(State(self.now, dt, self.q, tau=np.zeros(7), **given))
         self.now += dt

@@ -45,7 +45,7 @@ def test_undisturbed_it_is_the_primitive(c: float, s: float, k: float) -> None:
 
 @pytest.mark.parametrize("schedule", ["canonical", "time", "position"])
 def test_it_is_of_fourth_order(schedule: str) -> None:
-    """With a hold and a push between grid points, on kernels that are wide for the steps."""
+    """With a hold and a push between grid points, on kernels that are wide compared with the steps."""
     centres = np.linspace(0, 1, 6)
     weights = 30 * np.random.default_rng(1).normal(size=(6, 2))
     dmp = plain(weights, centres, np.full(6, 0.2), 2.0, np.zeros(2), np.ones(2), schedule=schedule)
@@ -60,7 +60,7 @@ def test_it_is_of_fourth_order(schedule: str) -> None:
 
 
 def test_a_hold_creeps_and_a_freeze_does_not() -> None:
-    """Behind a hold the free path creeps away, less and less; frozen it stands, and thaws when let go."""
+    """During a hold, the free path creeps away ever more slowly; a frozen path stops, and resumes on release."""
     dmp, t = smooth(force=0.0), np.array([0.0, 0.5, 1.0, 5.0, 30.0])
     creeping = TwoDofDmp(dmp).simulate(t, [Hold(0.5, 30)])
     still = TwoDofDmp(dmp, e_max=0.02).simulate(t, [Hold(0.5, 30)])
@@ -85,12 +85,12 @@ def test_inside_the_dead_zone_nothing_slows() -> None:
 
 
 def test_acceleration_of_the_path_is_its_derivative_while_tau_changes() -> None:
-    """Beyond the dead zone of one coordinate and inside that of the other, with scales that are not one."""
+    """Outside the dead zone of one coordinate and inside that of the other, with scales other than one."""
     two_dof = TwoDofDmp(smooth(), kc=1e3, e0=[0.01, 0.2], e_scale=[0.3, 2.0])
     run = two_dof.simulate(np.arange(0.0, 1.6, 5e-4), [Displace(0.5, [0.1, 0.1])], dt=5e-4)
     assert run.tau_a.max() > 5 * run.tau_a.min()
     active = np.abs(run.e) > two_dof.e0
-    smoothly = (active[:-4] == active[4:]).all(axis=1)  # where the zone is left or entered the slope jumps
+    smoothly = (active[:-4] == active[4:]).all(axis=1)  # the slope jumps where the dead zone is left or entered
     rows = np.flatnonzero(smoothly & (run.t[:-4] > 0.5)) + 2
     assert active[rows, 0].sum() > 100
     by_differences = np.gradient(run.ycd, run.t, axis=0)
@@ -148,7 +148,7 @@ def test_results_are_frozen_and_complete() -> None:
 
 
 def test_stepper_is_the_simulation() -> None:
-    """With the arm of the simulation measured at every step the path is the same to the accuracy of sampling."""
+    """With the simulated arm measured at every step, the path is the same to sampling accuracy."""
     dmp = smooth()
     two_dof = TwoDofDmp(dmp)
     run = two_dof.simulate(two_dof.dmp.times(0.002, 4.0), [Hold(0.5, 0.9)], dt=0.002)

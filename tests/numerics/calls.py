@@ -69,7 +69,7 @@ def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: di
 
 
 def of_orientation(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
-    """Return what a run gives, or each step of one whose goal, map and time constant change before the fourth."""
+    """Return the results of a run, or of each step if goal, map and time constant change before the fourth."""
     call, kind, output = name.split()
     primitive, k = primitive_of(module, kind, fixed), ("q", "w", "wd").index(output)
     begin = given["q0"], given["w0"], given["goals"][0], given["turns"][0]
@@ -87,7 +87,7 @@ def of_orientation(module: Any, name: str, given: dict[str, np.ndarray], fixed: 
 
 
 def of_stepper(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
-    """Return what each step gives of a run that is given another goal, scale and time constant before the fourth."""
+    """Return the results of each step of a run whose goal, scale and time constant change before the fourth."""
     around = None
     if "capsules" in fixed:
         around = module.Obstacles(2, np.zeros(0), np.zeros((0, 7)), *fixed["rule"].tolist())
@@ -125,7 +125,7 @@ def controlled(law: Any, name: str, states: np.ndarray, speed: np.ndarray) -> np
 
 
 def driven(module: Any, fixed: dict[str, np.ndarray]) -> Any:
-    """Return a drive with all that it can have."""
+    """Return a drive with all optional parts."""
     lines = tuple(fixed[f"line_{part}"] for part in ("joints", "cycles", "speeds", "widths", "coefficients"))
     parts = ("positions", "position_widths", "speeds", "speed_widths", "coefficients")
     over = tuple(fixed[f"map_{part}"] for part in parts)
@@ -133,12 +133,12 @@ def driven(module: Any, fixed: dict[str, np.ndarray]) -> Any:
 
 
 def _and_zeros(rows: np.ndarray) -> np.ndarray:
-    """Return rows (k, n) of a table and one more, of what no table has: friction of the load, doubt of a contact."""
+    """Return rows (k, n) of a table and a row of zeros for what no table has: load friction, contact doubt."""
     return np.vstack([rows, np.zeros(rows.shape[1])])
 
 
 def known_of_arm(module: Any, fixed: dict[str, np.ndarray]) -> tuple[Any, ...]:
-    """Return what every estimator is given first."""
+    """Return the first arguments, common to all estimators."""
     chain = module.Chain(fixed["frames"], fixed["prismatic"])
     drive = driven(module, fixed)
     gains = (fixed["gains"], float(fixed["gain_variance"]), _and_zeros(fixed["covariance"]))

@@ -17,8 +17,8 @@ from calls import FAMILIES
 
 FOLDER = Path(__file__).with_name("tables")
 UNIT = 2.0**-53  # the largest relative error of one rounding
-BOUND = 8.0  # in these units, but for
-BOUNDS = {  # the largest found on any instruction set, and half as much to twice as much again
+BOUND = 8.0  # in these units, except for
+BOUNDS = {  # the largest found on any instruction set, plus 50 to 200 %
     "jacobian_derivative tool": (32.0, "the subtracted rotation term is larger than the result"),
     "rnea": (32.0, "velocity and acceleration torques partly cancel"),
     "SignalOperator lowpass": (64.0, "lag relative to linear interpolation, seven times the signal"),
@@ -77,7 +77,7 @@ BOUNDS = {  # the largest found on any instruction set, and half as much to twic
     "rotation_rollout time w": (200.0, "the speed between samples is thirty times that at the samples"),
 }
 _STEPPING = ("change_goal", "change_tau", "start", "step")
-TABLED = {  # tables of kernels that are not called as these are
+TABLED = {  # kernels whose tables have another name
     "Drive.torque": "Drive",
     "MomentumEstimator.step": "MomentumEstimator",
     "MomentumEstimator.tare": "MomentumEstimator biased filter",
@@ -133,12 +133,12 @@ LEFT_OUT = {  # kernels without a table, with their other tests
     "poses": "validates poses and returns them unchanged",
     "rotations": "validates rotations and returns them unchanged",
 }
-MANY = 1000  # random samples, for what differs seldom
+MANY = 1000  # random samples, for rare differences
 DRAWN = ("chains", "filters", "groups")  # topics whose inputs may be any numbers
 
 
 def unpacked(topic: dict[str, Any], value: Any, *place: str) -> Any:
-    """Return an array, or those of a part; the name of an earlier table stands for what it has in that place."""
+    """Return an array, or those of a part; the name of an earlier table stands for its entry in that place."""
     if isinstance(value, dict):
         return {key: unpacked(topic, inside, *place, key) for key, inside in value.items()}
     if isinstance(value, str):
@@ -159,21 +159,21 @@ def tables(folder: Path = FOLDER) -> dict[str, dict[str, Any]]:
 
 
 def result(module: Any, key: str, table: dict[str, Any]) -> np.ndarray:
-    """Return what a module makes of the inputs of a table, in the shape of its exact results."""
+    """Return the results of a module for the inputs of a table, in the shape of its exact results."""
     topic, _, name = key.partition("/")
     found = FAMILIES[topic](module, name, table["given"], table.get("fixed", {}))
     return np.reshape(found, table["wanted"].shape)
 
 
 def bound(key: str) -> float:
-    """Return how large the error of a table may be."""
+    """Return the largest allowed error of a table."""
     return next((limit for name, (limit, _) in BOUNDS.items() if key.partition("/")[2].startswith(name)), BOUND)
 
 
 def error(table: dict[str, Any], found: np.ndarray) -> float:
-    """Return the worst error of a sample by its largest entry, in units of one rounding.
+    """Return the worst error of a sample relative to its largest entry, in units of one rounding.
 
-    An angle beyond 1 rad is a double that is rounded by itself: there the unit grows as the angle.
+    An angle beyond 1 rad is itself a rounded double, so there the unit grows with the angle.
     """
     wanted, given = table["wanted"], table["given"]
     off, size = (np.abs(a).reshape(len(wanted), -1).max(axis=1) for a in (found - wanted, wanted))
@@ -184,7 +184,7 @@ def error(table: dict[str, Any], found: np.ndarray) -> float:
 
 
 def drawn(key: str, name: str, like: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return random samples of one input, made with sums, products and roots alone: the same on every machine."""
+    """Return random samples of one input, made only with sums, products and roots: the same on every machine."""
     if like.shape[1:] not in ((3, 3), (4, 4)) and "quaternion" not in key:
         return rng.uniform(0.0 if name == "s" else -3.0, 1.0 if name == "s" else 3.0, (MANY, *like.shape[1:]))
     if name == "s":
@@ -206,7 +206,7 @@ def drawn(key: str, name: str, like: np.ndarray, rng: np.random.Generator) -> np
 
 
 def many() -> dict[str, dict[str, Any]]:
-    """Return the tables with random samples instead of theirs, where a kernel takes samples; without exact results."""
+    """Return the tables with random samples instead of their own, if a kernel takes samples; without exact results."""
     rng, found = np.random.default_rng(3), {}
     for key, table in tables().items():
         count = len(table["wanted"])

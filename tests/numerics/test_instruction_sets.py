@@ -1,4 +1,4 @@
-"""The kernels on older processors: what of their results is the same to the bit, and by how much the rest differs."""
+"""The kernels on older processors: which results are bit-identical, and by how much the rest differ."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TABLES = RESULTS["tables"]()
 SAMPLES = TABLES | {f"many {key}": table for key, table in RESULTS["many"]().items()}
 PLAIN_C = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"}  # exp, sin ... without fused multiply-add
 EMULATOR = shutil.which("qemu-x86_64") or shutil.which("qemu-x86_64-static")
-OF_THE_C_LIBRARY = 4.0  # roundings, of which 2 were found: its functions differ by one digit in one of a thousand calls
+OF_THE_C_LIBRARY = 4.0  # roundings; 2 were found: its functions differ in the last digit in one of a thousand calls
 PROCESSORS = {"SSE": "Nehalem", "AVX2": "Haswell"}
 
 pytestmark = [
@@ -30,7 +30,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., dict[str, np.ndarray]]:
-    """Return results of a program of its own, by name."""
+    """Return the results of a separate program, by name."""
     folder, known = tmp_path_factory.mktemp("results"), {}
 
     def results(processor: str | None = None, **environment: str) -> dict[str, np.ndarray]:
@@ -62,17 +62,17 @@ def differing(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> set[s
 @pytest.mark.skipif(EMULATOR is None, reason="qemu-user is not installed")
 @pytest.mark.parametrize("level", PROCESSORS)
 def test_same_bits_on_an_emulated_processor(level: str, run: Run) -> None:
-    """With the same functions of the C library: only what the compiler made of the kernels differs."""
+    """With the same C library functions, only the compiled kernel code differs."""
     assert differing(run(**PLAIN_C), run(processor=PROCESSORS[level], **PLAIN_C)) == set()
 
 
 def test_the_c_library_without_fused_multiply_add(run: Run) -> None:
-    """Its exp, sin, tanh ... round otherwise then. Rotations, rigid motions and chains of joints do not notice."""
+    """Its exp, sin, tanh ... then round differently. Rotations, rigid motions and joint chains are not affected."""
     plain, here = run(**PLAIN_C), run()
     for key in differing(plain, here):
         topic = key.removeprefix("many ").partition("/")[0]
         assert topic not in ("chains", "groups", "limits")
-        most = OF_THE_C_LIBRARY if topic == "filters" else RESULTS["bound"](key)  # the others carry it further
+        most = OF_THE_C_LIBRARY if topic == "filters" else RESULTS["bound"](key)  # the others amplify it
         assert RESULTS["error"](SAMPLES[key] | {"wanted": here[key]}, plain[key]) <= most
     for key, table in TABLES.items():
         assert RESULTS["error"](table, plain[key]) <= RESULTS["bound"](key), key

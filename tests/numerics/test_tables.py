@@ -36,14 +36,14 @@ def test_an_error_in_the_thirteenth_digit_shows(key: str) -> None:
 
 @pytest.mark.parametrize("key", [key for key in TABLES if "wrench_interval" in key])
 def test_an_interval_holds_the_exact_one(key: str) -> None:
-    """What settles ties may only widen it."""
+    """Tie-breaking may only widen the interval."""
     found = RESULTS["result"](kernels, key, TABLES[key])
     inside = (found - TABLES[key]["wanted"]) * [1.0, -1.0]
     assert inside.max() <= 0.0
 
 
 def kernel_names() -> Iterator[str]:
-    """Yield functions by their names, methods by those of class and method."""
+    """Yield the names of functions, and of methods with their class."""
     for name, kernel in vars(kernels._native).items():
         if name.startswith("_"):
             continue
@@ -99,8 +99,8 @@ def apart(T: np.ndarray, q: np.ndarray) -> list[float]:
 
 @pytest.fixture(scope="module")
 def runs() -> Iterator[dict[str, tuple[np.ndarray, ...]]]:
-    """Goals, postures, errors, statuses, and which are to be 0, of every way to ask; one goal is next to another, one
-    out of reach."""
+    """Goals, postures, errors, statuses, and which errors must be 0, for every kind of query; one goal is next to
+    another, one is out of reach."""
     seeds, limits = np.random.default_rng(53).uniform(-1.2, 1.2, (5, N)), np.full(N, 3.0)
     tight: dict[str, Any] = {"position_tolerance": TOLERANCE, "rotation_tolerance": TOLERANCE}
     with mp.workdps(50):

@@ -20,7 +20,7 @@ def hat(p: np.ndarray) -> np.ndarray:
 
 
 def twist_transform(T: np.ndarray) -> np.ndarray:
-    """Return (..., 6, 6) Ad(T^-1): the twist of a body, told in frame b instead of a, for T = T_a_b."""
+    """Return (..., 6, 6) Ad(T^-1): the twist of a body, expressed in frame b instead of a, for T = T_a_b."""
     R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
     X = np.zeros((*T.shape[:-2], 6, 6))
     X[..., :3, :3] = X[..., 3:, 3:] = R_transposed
@@ -42,7 +42,7 @@ def wrench_cross(V: np.ndarray) -> np.ndarray:
 
 
 def _unit_inertias() -> np.ndarray:
-    """Return the (10, 6, 6) spatial inertia [[m 1, -hat(h)], [hat(h), I]] per unit of each of `pi`."""
+    """Return the (10, 6, 6) spatial inertia [[m 1, -hat(h)], [hat(h), I]] per unit of each entry of `pi`."""
     units = np.zeros((10, 6, 6))
     units[0, :3, :3] = np.eye(3)
     for k in range(3):
@@ -67,7 +67,7 @@ class Chain:
     ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``.
 
     Every method takes any leading batch and keeps it, accepts read-only input, leaves it unchanged, and writes into
-    `out` when that is given. NaN in a sample gives NaN in its result. Argument errors are `ShapeError`.
+    `out` if given. NaN in a sample gives NaN in its result. Argument errors are `ShapeError`.
     """
 
     def __init__(self, frames: Any, prismatic: Any) -> None:
@@ -225,9 +225,9 @@ class Chain:
 
 
 def _rigid(frames: np.ndarray) -> np.ndarray:
-    """Return `frames` with rotations projected on SO(3) by Newton steps.
+    """Return `frames` with rotations projected onto SO(3) by Newton steps.
 
-    Refuses what is off by more than 1e-6, leaves alone what is orthonormal to rounding.
+    Rotations off by more than 1e-6 are refused; those orthonormal to rounding are left unchanged.
     """
     frames = frames.copy()
     for _ in range(2):

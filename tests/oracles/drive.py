@@ -8,11 +8,11 @@ With s = z, or s = tanh(qd / smooth_speed) where smooth_speed > 0, joint by join
     tau = rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
           + load dry_share s |x|
 
-x is the torque that goes to the links, in a forward model known; an estimator has y = x + load dry_share s |x|, what
-is left of the motor's torque without the rest, so that ``x = y / (1 + load dry_share s sign(y))``.
+x is the torque transmitted to the links, which a forward model knows; an estimator has y = x + load dry_share s |x|,
+the motor torque less the other terms, so that ``x = y / (1 + load dry_share s sign(y))``.
 
-dry_share is 1, less for an estimator that takes dry friction near rest as bounded instead of known. Warmth x goes by
-its own heat: ``dx/dt = (|rubbing qd| / reference - x) / time``, exact for constant power in a step.
+dry_share is 1, less for an estimator that treats dry friction near rest as bounded instead of known. The warmth x
+follows from its own heat: ``dx/dt = (|rubbing qd| / reference - x) / time``, exact for constant power in a step.
 
 With normalised Gaussians psi (`basis_weights`), the map has coefficients over position and speed for both directions,
 ``(1 + s)/2 psi(q)^T k_pos psi(|qd|) + (1 - s)/2 psi(q)^T k_neg psi(|qd|)``; a line of ripple has amplitudes over speed,
@@ -29,7 +29,7 @@ from .chain import Chain
 
 
 class DriveState:
-    """What the drives remember, each (n,): position y that follows with a play, presliding state z, warmth x."""
+    """State of the drives, each (n,): position y that follows with a play, presliding state z, warmth x."""
 
     def __init__(self, play: np.ndarray, z: np.ndarray, warmth: np.ndarray) -> None:
         self.play, self.z, self.warmth = play, z, warmth
@@ -72,12 +72,12 @@ def start(drive: Drive, q: np.ndarray) -> DriveState:
 
 
 def restart(q: np.ndarray, before: DriveState) -> DriveState:
-    """Return the state at position q (n,) after a gap, of which the way is not known: all but the warmth anew."""
+    """Return the state at position q (n,) after a gap with unknown motion: all but the warmth is reset."""
     return DriveState(q.copy(), np.zeros(len(q)), before.warmth)
 
 
 def move(drive: Drive, q: np.ndarray, state: DriveState) -> tuple[DriveState, np.ndarray]:
-    """Return the state at position q (n,) and the displacement (n,) that the encoder can tell."""
+    """Return the state at position q (n,) and the displacement (n,) that the encoder resolves."""
     delta, resolution = drive.friction[6], drive.friction[7]
     play = np.clip(state.play, q - resolution, q + resolution)
     dy = play - state.play
@@ -95,7 +95,7 @@ def heat(drive: Drive, qd: np.ndarray, dt: float, state: DriveState) -> DriveSta
 
 
 def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, state: DriveState, dry_share: Any = 1.0) -> np.ndarray:
-    """Return the torque (..., n), of which dry friction counts by `dry_share`."""
+    """Return the torque (..., n), with dry friction weighted by `dry_share`."""
     cycles, cosine, sine = drive.ripple
     s = sign(drive, qd, state)
     tau = _rubbing(drive, qd, s, state.warmth, dry_share) + drive.friction[3]
@@ -106,7 +106,7 @@ def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, state: DriveState,
 
 
 def load_friction(drive: Drive, x: np.ndarray, qd: np.ndarray, state: DriveState) -> np.ndarray:
-    """Return the friction (..., n) that comes with a load x."""
+    """Return the friction (..., n) caused by a load x."""
     return drive.friction[10] * sign(drive, qd, state) * np.abs(x)
 
 
@@ -121,7 +121,7 @@ def sign(drive: Drive, qd: np.ndarray, state: DriveState) -> np.ndarray:
 
 
 def _rubbing(drive: Drive, qd: np.ndarray, s: np.ndarray, warmth: np.ndarray, dry_share: Any) -> np.ndarray:
-    """Return what turns into heat."""
+    """Return the friction torque that turns into heat."""
     viscous, positive, negative, _, stribeck, speed, _, _, root, *_ = drive.friction
     of_coulomb, of_viscous = drive.warm_up[:2]
     dry = (positive * np.maximum(s, 0) + negative * np.minimum(s, 0)) * (1.0 + of_coulomb * warmth)
@@ -130,7 +130,7 @@ def _rubbing(drive: Drive, qd: np.ndarray, s: np.ndarray, warmth: np.ndarray, dr
 
 
 def _sides(s: np.ndarray) -> np.ndarray:
-    """Return how much each direction counts (N, 2), positive first."""
+    """Return the weight of each direction (N, 2), positive first."""
     return np.stack([0.5 * (1.0 + s), 0.5 * (1.0 - s)], axis=-1)
 
 

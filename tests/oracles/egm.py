@@ -18,7 +18,7 @@ UINT32, UINT64 = 2**32 - 1, 2**64 - 1
 
 
 def decode_egm(axes: AxisMap, data: bytes, robotware: str = "") -> Packet | Drop:
-    """Return the packet of an EgmRobot, or why it is dropped."""
+    """Return the packet of an EgmRobot, or the reason why it is dropped."""
     try:
         return packet(axes, pb.EgmRobot.FromString(data), robotware)
     except DecodeError:

@@ -3,27 +3,27 @@
 One step, with ``tau_e = model - measured = J^T F + error``:
 
 1. y follows q with a play of +-resolution; z slides by dy. Its variance p relaxes towards 1, the largest that a
-   variable in [-1, 1] can have, with the time constant REST_TIME, since what friction does during a long rest is not
-   known; then displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
+   variable in [-1, 1] can have, with the time constant REST_TIME, since friction during a long rest is unknown;
+   displacement then reduces it: ``p <- p exp(-2 |dy| / delta)``.
 2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea - x, with x of ``x + load s |x| = tau / gains - rotor qdd - friction(qd,
    z) - ripple(q)`` (`drive.load_of`).
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
    warping).
 4. C_tau = diag(s^2(qd) + (doubt tau_e)^2 + static^2 p_filtered), static the friction at rest with load |x|, p
-   low-passed like tau_e so that it stays as long as its error does. doubt: what gain and load friction leave open of
-   the torque of a contact; that of the arm itself has its errors in s already.
+   low-passed like tau_e so that it stays as long as its error does. doubt: the uncertainty of the contact torque from
+   gain and load friction; s already includes the errors of the arm's own torque.
 5. The wrench from tau_e and C_tau, by one of the methods of `wrench.py`.
 
 Methods with a bound (bounded, clip, interval) treat friction near rest as bounded instead of random. With the slowness
 w = exp(-(qd / speed)^2), the Coulomb and Stribeck terms of the model count by 1 - w, the bound is ``torque max(w, p) +
 floor`` with max(w, p) low-passed and torque grown by load |x|, and C_tau = diag(Cinf + (doubt tau_e)^2).
 
-A step longer than GAP_STEPS first steps is a gap: nothing is known of what friction did in it, so all but the warmth
-begins anew, as at the first sample; the low-pass once more at the next, which has an acceleration. Without one, methods
-with a bound say nothing: the torque of the inertia would count as contact.
+A step longer than GAP_STEPS first steps is a gap: friction during it is unknown, so all but the warmth is reset, as at
+the first sample; the low-pass is reset again at the next one, which has an acceleration. Without an acceleration,
+methods with a bound give no estimate: the inertial torque would count as contact.
 
-Torques are read with gains, ``tau / gains`` is the true one; where the gains are off by a common share g, so is F: its
-covariance grows by ``var(g) F F^T``, an interval at both ends by 3 deviations of g, within its box.
+Measured torques include gains, so ``tau / gains`` is the true torque; where the gains are off by a common share g, so
+is F: its covariance grows by ``var(g) F F^T``, an interval at both ends by 3 deviations of g, within its box.
 
 With a contact at a known point, F = S f for a force f, S = [1; hat(r)], and the solver works on A = S^T J.
 """
@@ -198,7 +198,7 @@ class WrenchEstimator(Stepwise):
         return self._solve(q, torque, variance, np.zeros(n))
 
     def _lowpass(self, x: np.ndarray, dt: float, begins: np.ndarray) -> np.ndarray:
-        self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state: no transient from what was
+        self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state
         g = np.tan(np.pi * min(self._cutoff * dt, 0.45))
         a = 1.0 / (1.0 + g * (g + np.sqrt(2.0)))
         error = x - self._low[1]

@@ -13,23 +13,22 @@ Contact wrench by the generalised momentum.
 
 With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = x + beta - G``, with x of ``x + load s |x| =
 tau / gains - F_f``: no acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018), so
-what the rotor takes counts as load. u is the mean of its values at the ends of a step (at the first, its end: at the
-beginning nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of
-the way in it, so momentum and friction begin anew after it. What unknown gains add to the covariance is as in
-`estimator.py`.
+what the rotor takes counts as load. u is the mean of its values at the ends of a step (at the first, its end: friction
+is unknown at the beginning). A step longer than GAP_STEPS first steps is a gap: u and the motion during it are unknown,
+so momentum and friction are reset after it. Unknown gains add to the covariance as in `estimator.py`.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
 then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered). Of
-a wrench that was there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
+a wrench present at the start, it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
 
-Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; measured is p = M qd with
-the noise of the velocity, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the
-variance v = s^2 + (doubt J^T z)^2 + static^2 p: what velocity leaves, forgotten within `memory`; what gains and load
-friction leave open of the wrench's own torque; and friction that is unknown after a rest, static and p as in
-`estimator.py`. The last two stay and must not be averaged away: noise of intensity ``v^2 / (J^T rate J)_ii`` leaves the
-wrench the doubt v. That is its intensity, or ``2 s^2 memory + (v - s^2) LONGEST`` where this is less. When biased,
+Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; the measurement is p = M qd
+with velocity noise, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the variance
+v = s^2 + (doubt J^T z)^2 + static^2 p: the velocity-dependent error, forgotten within `memory`; the uncertainty of the
+wrench's own torque from gains and load friction; and unknown friction after a rest, static and p as in
+`estimator.py`. The last two persist and must not be averaged away: noise of intensity ``v^2 / (J^T rate J)_ii`` leaves
+the wrench the doubt v. That is its intensity, or ``2 s^2 memory + (v - s^2) LONGEST`` where this is less. When biased,
 friction is a state b instead, which enters with -1: its variance rises at rest as p does, up to static^2, and
-displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| / delta``; at rest it stays, but
+it decays with displacement like the presliding state, ``db = -b |dq| / delta``; at rest it stays, but
 for a CREEP.
 """
 
@@ -103,14 +102,14 @@ def momentum_step(
     return x + K @ (y - x[:n]), 0.5 * (P + P.T)
 
 
-CREEP = 1e-3  # 1/s, of its variance, by which friction wanders at rest
+CREEP = 1e-3  # 1/s of its variance, by which friction drifts at rest
 LONGEST = 20.0  # s, memory of friction at rest for a joint that no contact turns
 AT_REST = 0.5  # variance of the presliding state above which a joint rests
 STILL = 1.0  # presliding distances that a joint may move before a tare is void
 
 
 class MomentumEstimator(Stepwise):
-    """Contact wrench from joint motion and torque by the momentum, one sample at a time."""
+    """Momentum-based contact wrench from joint motion and torque, one sample at a time."""
 
     def __init__(
         self, chain: Chain, gravity: Any, links: Any, rotor: Any, drive: Drive, gains: Any, gain_variance: float,
@@ -246,7 +245,7 @@ class MomentumEstimator(Stepwise):
         return x, P, G @ self._x[n:], variance
 
     def _restart(self, R: np.ndarray, rate: np.ndarray, leak: np.ndarray, dt: float, friction: np.ndarray) -> None:
-        """Let the wrench wander for a time dt; the momentum is known as it is measured, friction as its prior says."""
+        """Let the wrench drift for a time dt; momentum is known as measured, friction as in its prior."""
         n, z = self._chain.n, slice(self._chain.n, self._chain.n + self._k)
         decay, _, wandered, _, _ = leak_integrals(leak, dt)
         wrench = np.outer(decay, decay) * self._P[z, z] + np.diag(rate * wandered)

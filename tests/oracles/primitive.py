@@ -11,13 +11,13 @@ With time in units of tau, ' = d/d(t/tau), and z = tau yd::
 
 psi_j = exp(-(x - c_j)^2 / (2 sd_j^2)) over its sum, as a soft-max: exponents more than FADED below the largest are left
 out. A step takes the spring exactly and f as the quadratic through its values at the start, the middle and the end: of
-fourth order, stable for any step. Where f depends on the position it is a step of Runge and Kutta, or as many as the
-spring asks for.
+fourth order, stable for any step. Where f depends on the position, it is one Runge-Kutta step, or as many as the spring
+requires.
 
 With G the impulse response of the spring and I_k = integral of G(r - s) s^k over the step r,
 ``stiffness I_k + alpha k I_(k-1) + k (k - 1) I_(k-2) = r^k`` (k = 0: ``- G'``; k = 1: ``- G``), upwards for long steps
 and downwards from the series of I_1 and I_2 for short ones, where it would cancel. Steps that are long for the damping
-but not for the spring, ``stiffness r < alpha``, are a short one, doubled: the first half goes on freely in the second,
+but not for the spring, ``stiffness r < alpha``, are a short step, doubled: the first half evolves freely in the second,
 ``I_k(2 r) = (1 - stiffness I_0) I_k + G I_k' + sum of (k over j) r^(k - j) I_j``.
 
 One run of a movement primitive, sample by sample.
@@ -52,7 +52,7 @@ class SpringStep:
             zeroth = 0.5 * (h * h - stiffness * second) - alpha * first
             G = h - alpha * zeroth - stiffness * first
             slope = 1.0 - alpha * G - stiffness * zeroth
-            for _ in range(doublings):  # the first half goes on freely, the second adds its own
+            for _ in range(doublings):  # the first half evolves freely, the second adds its own
                 stays = slope + alpha * G + 1.0
                 second = stays * second + 2.0 * (G + h) * first + h * h * zeroth
                 first = stays * first + (G + h) * zeroth
@@ -189,7 +189,7 @@ def phase_at(p: Primitive, s: Any) -> np.ndarray:
 
 
 def share(p: Primitive, x: np.ndarray) -> np.ndarray:
-    """Return the share of the forcing that is left at phase x."""
+    """Return the share of the forcing that remains at phase x."""
     if p.phase == "periodic":
         return np.ones_like(x)
     if p.phase != "time":
@@ -232,7 +232,7 @@ class PrimitiveStepper:
         return self.g if self.moved is None else self.target + self.ahead * self._left(s)
 
     def _left(self, s: float) -> float:
-        """Return the share of the last change that the filter has not let through yet."""
+        """Return the share of the last change that the filter has not yet passed."""
         return 0.0 if self.moved is None else float(np.exp(-self.filter * (s - self.moved)))
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

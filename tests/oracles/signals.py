@@ -21,7 +21,7 @@ class SignalOperator:
         slope        y' of lowpass                    first output 0
         notch        x - 2 z / w y' of lowpass        first output x_0
 
-    The oscillators are solved exactly for an input that is a straight line between samples: with slope
+    The oscillators are solved exactly for an input that is linear between samples: with slope
     ``s = (x - x_prev) / h`` and lag ``2 z / w s``, the distance ``e = y - x_prev + lag`` and its rate ``u = y' - s``
     move freely, ``[e; u] <- exp([[0, 1], [-w^2, -2 z w]] h) [e; u]``.
 

@@ -10,11 +10,11 @@ instead of yc', which would be stiff::
     yc'' = (v z' - yc' tau_a') / tau_a + v' z / tau_a
     ya_ref'' = kp (yc - ya) + kv (yc' - ya') + yc''
 
-with the forcing f of `primitive.py`. v is the speed: 1 as the primitive says, 0 for a stop; all rates have it, so the
-path stays the same. Where ``max |ya - yc| / unit > e_max`` at the beginning of a step, yc, z and x stand still until it
-is below ``0.8 e_max``.
+with the forcing f of `primitive.py`. v is the speed: 1 as the primitive says, 0 for a stop; it scales all rates, so
+the path stays the same. Where ``max |ya - yc| / unit > e_max`` at the beginning of a step, yc, z and x stand still until it is
+below ``0.8 e_max``.
 
-The state is ``[yc, z, e, ya, ya', x, frozen]``. Steps are Runge and Kutta's of fourth order, of all of it at once.
+The state is ``[yc, z, e, ya, ya', x, frozen]``. All states are integrated jointly by RK4.
 """
 
 from __future__ import annotations

@@ -19,12 +19,12 @@ from __future__ import annotations
 
 import numpy as np
 
-METHODS = ("map", "bounded", "clip", "interval", "ls", "lund", "ols")  # in the order of the compiled twin
+METHODS = ("map", "bounded", "clip", "interval", "ls", "lund", "ols")  # in the order of the compiled kernel
 NEWTON_LIMIT = 60
 CLIP_LIMIT = 20_000
 KKT_GOAL = 1e-10
 WEAKEST = 1e-12  # smallest eigenvalue of the scaled information by which ls still determines x
-ROUNDING = 1e-14  # a pivot below it, by the largest variance, has no digit
+ROUNDING = 1e-14  # a pivot below it, relative to the largest variance, has no correct digit
 
 
 def solve_wrench(
@@ -37,7 +37,7 @@ def solve_wrench(
     every = np.ones(n, dtype=bool)
     try:
         return _solve(A, error, variance, bound, prior, METHODS[method], every)
-    except np.linalg.LinAlgError:  # NaN, or so uneven that no digit is left
+    except np.linalg.LinAlgError:  # NaN, or so ill-conditioned that no digit is correct
         return np.full(k, np.nan), np.full((k, k), np.nan), every, 0, 0.0, True
 
 
@@ -78,7 +78,7 @@ def _map_gain(A: np.ndarray, variance: np.ndarray, prior: np.ndarray) -> np.ndar
 
 
 def _solve_positive(S: np.ndarray, rows: np.ndarray, least: float = 0.0) -> np.ndarray:
-    """Return S^-1 rows; raises LinAlgError when a pivot is not above `least`, by the largest entry."""
+    """Return S^-1 rows; raises LinAlgError when a pivot is not above `least`, relative to the largest entry."""
     if not np.all(np.diag(np.linalg.cholesky(S)) ** 2 > least * np.max(np.diag(S))):
         raise np.linalg.LinAlgError
     return np.linalg.solve(S, rows)
@@ -190,7 +190,7 @@ def wrench_interval(
 
 
 def _contradicting(rows: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return joints (n,) whose bands must give way when the total of what is missing is smallest."""
+    """Return joints (n,) whose bands must give way when the total violation is smallest."""
     from scipy.optimize import linprog
 
     n, k = rows.shape

@@ -1,4 +1,4 @@
-"""Figures are drawn without a screen and closed after each test; the made-up arm has three joints, which is cheap."""
+"""Figures are drawn off-screen and closed after each test; the synthetic arm has only three joints, to save time."""
 
 from __future__ import annotations
 

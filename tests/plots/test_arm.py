@@ -1,4 +1,4 @@
-"""`plots.robot`: what is drawn is where the kinematics says."""
+"""`plots.robot`: the drawing agrees with the kinematics."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def test_links_follow_joint_axes_and_common_normals() -> None:
     points = stick(robots.load("irb2400"), np.zeros(6))
     assert points[:3] == pytest.approx(np.array([[0, 0, 0], [0, 0, 0.615], [0.1, 0, 0.615]]), abs=1e-12)
     steps = np.diff(points, axis=0)
-    assert np.abs(np.sort(np.abs(steps), axis=1)[:, :2]).max() < 1e-12  # each piece along one of the base's axes
+    assert np.abs(np.sort(np.abs(steps), axis=1)[:, :2]).max() < 1e-12  # each segment is along one of the base axes
     almost_parallel = robots.from_dh("bent", [1e-4, 0, 0], [0.3, 0.2, 0.1], [0.0, 0.1, 0.0])
-    assert np.abs(stick(almost_parallel, np.ones(3))).max() < 1.0  # no bend at the far end of the world
+    assert np.abs(stick(almost_parallel, np.ones(3))).max() < 1.0  # no bend far away from the arm
 
 
 def test_one_configuration_in_full(arm: Robot) -> None:
@@ -69,7 +69,7 @@ def test_one_configuration_in_full(arm: Robot) -> None:
         (joint,) = [part for part in ax.collections if part.get_gid() == f"joint {i + 1}"]
         corners = np.asarray(joint._faces).reshape(-1, 3) - T[:3, 3]
         along, across = corners @ T[:3, 2], np.linalg.norm(np.cross(corners, T[:3, 2]), axis=1)
-        start = -q[i] if arm.prismatic[i] else 0.0  # a box stays where the slide begins
+        start = -q[i] if arm.prismatic[i] else 0.0  # the box of a prismatic joint stays at its start
         assert (along.min() + along.max()) / 2 == pytest.approx(start, abs=1e-9)
         assert across.max() < np.ptp(along)
     assert len(np.asarray(joint._faces)) > 12 or arm.prismatic[-1]

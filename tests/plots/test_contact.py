@@ -121,7 +121,7 @@ N_COVERED = 4000
 
 @pytest.fixture
 def estimate_of_one_sigma() -> Table:
-    """Errors of one sigma; the stated sigma is half of it below a tenth of the peak speed."""
+    """Errors of one sigma; the stated sigma is half as large below a tenth of the peak speed."""
     rng = np.random.default_rng(1)
     t = np.arange(N_COVERED) * 0.004
     qd = np.stack([np.linspace(0, 1, N_COVERED), np.linspace(0, 2, N_COVERED)], axis=1)

@@ -1,4 +1,4 @@
-"""What every figure promises: it uses the axes it is given, warns of nothing, shows and saves nothing, keeps gaps."""
+"""The contract of every figure: it uses the given axes, raises no warnings, shows and saves nothing, keeps gaps."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_figure_is_new_or_in_the_axes_of_the_caller(
 
 
 def axes_for(name: str, count: int) -> list[Axes]:
-    """Return new axes of a figure, flat and in space as the figure `name` needs them."""
+    """Return new axes of a figure, 2D or 3D as the figure `name` needs them."""
     figure = plt.figure(figsize=(8, 8), layout="constrained")
     in_space = IN_SPACE.get(name, (False,) * count)
     return [figure.add_subplot(count, 1, k + 1, **(PROJECTION if in_space[k] else {})) for k in range(count)]

@@ -1,4 +1,4 @@
-"""Figures of movement primitives hold what the primitives say, with units, and refuse what does not fit."""
+"""Figures of movement primitives show the primitives' data with units, and refuse data that do not fit."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_one_turn_and_several_are_shown(taught_rhythm: PeriodicDmp) -> None:
     begun = np.asarray(several.lines[0].get_xydata())
     assert begun[-1, 0] == pytest.approx(4.0)
     assert begun[0, 1] == pytest.approx(taught_rhythm.g[0])
-    np.testing.assert_allclose(begun[-500:, 1], y[1:, 0], rtol=0, atol=1e-4)  # soon the steady motion
+    np.testing.assert_allclose(begun[-500:, 1], y[1:, 0], rtol=0, atol=1e-4)  # settled to the steady motion
     assert [panel.get_ylabel() for panel in figure.axes] == [label("y"), label("forcing"), "kernels [1]", label("y")]
     assert (kernels.get_xlabel(), several.get_xlabel()) == ("phi [rad]", "t [s]")
 

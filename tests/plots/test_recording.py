@@ -45,9 +45,9 @@ def test_usual_columns_each_in_a_panel(data: Table, tmp_path: Path) -> None:
     assert figure.axes[-1].get_xlabel() == "t [s]"
     legends = [ax.get_legend() for ax in figure.axes]
     assert [text.get_text() for text in legends[0].get_texts()] == ["a1", "a2", "a3", "limit active"]
-    assert legends[1:] == [None, None]  # the same lines: said once
+    assert legends[1:] == [None, None]  # the same lines: one legend
     both = table(data, "tau", "q", "q_ref")
-    assert [text.get_text() for text in both.axes[1].get_legend().get_texts()] == ["commanded"]  # the rest stands above
+    assert [text.get_text() for text in both.axes[1].get_legend().get_texts()] == ["commanded"]  # the rest is above
     figure.savefig(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 5000
 
@@ -100,7 +100,7 @@ def test_position_and_rotation_over_time() -> None:
     figure = poses(T, t)
     above, below = figure.axes
     assert np.array_equal(values(above), T[:, :3, 3])
-    assert values(below) == pytest.approx(angle[:, None] * AXIS, abs=1e-9)  # goes on past half a turn
+    assert values(below) == pytest.approx(angle[:, None] * AXIS, abs=1e-9)  # continues past half a turn
     assert np.array_equal(above.lines[0].get_xdata(), t)
     assert [line.get_color() for line in above.lines] == list(AXIS_COLORS)
     assert (above.get_ylabel(), below.get_ylabel()) == ("position [m]", "rotation vector [rad]")

@@ -16,7 +16,7 @@ from armlab.plots.space import AWAY, arrow, equal_scale, extent, feature, scene,
 
 def test_the_scale_is_one_and_all_is_inside() -> None:
     _, ax = space()
-    equal_scale(ax)  # nothing drawn: nothing happens
+    equal_scale(ax)  # nothing drawn: no effect
     assert not np.isfinite(extent(ax)).any()
     points = np.array([[0.0, 0, 0], [2.0, 0, 0.1], [1.0, np.nan, 0]])
     ax.plot(*points.T)

@@ -1,4 +1,4 @@
-"""The parts of all figures."""
+"""Parts shared by all figures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from armlab.plots.style import band, legend, look, panels, png, shade, show
 
 
 def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
-    """Else a notebook shows the first figure only: its backend comes with it, and switches on there."""
+    """Otherwise a notebook shows only the first figure, which loads the backend that turns interactive mode on."""
     was = mpl.is_interactive()
     try:
         mpl.interactive(False)
@@ -39,7 +39,7 @@ def test_spikes_of_bands_stay_and_spans_of_one_sample_are_seen(spans) -> None:
     assert (vertices[:, 1].min(), vertices[:, 1].max()) == (-50.0, 50.0)
     assert len(vertices) < 10_000
     assert vertices[:, 0].min() >= t[900]
-    shade(ax, t, np.arange(len(t)) % 2 == 0)  # as close as a limit can flicker
+    shade(ax, t, np.arange(len(t)) % 2 == 0)  # as fast as a limit can flicker
     assert spans(ax) == [pytest.approx((0.0, t[-1]))]
     shade(ax, t, np.arange(len(t)) == 50_000)
     assert spans(ax)[1] == pytest.approx((t[50_000], t[50_001]))

@@ -38,7 +38,7 @@ def test_orders_invert_each_other_in_batches(yumi: Robot) -> None:
 
 
 def test_yumi_gears_by_hand(yumi: Robot) -> None:
-    """100 motor turns per joint turn; joint 4 turns against its motor, joint 6 has 101."""
+    """100 motor turns per joint turn; joint 4 turns opposite to its motor, joint 6 has 101."""
     q_motor = np.array([100, 200, 300, 400, 500, 606, 700.0])
     np.testing.assert_allclose(couplings.motor_to_joint(yumi, q_motor), [1, 2, 3, -4, 5, -6, 7], rtol=1e-15)
     np.testing.assert_allclose(couplings.joint_to_motor(yumi, [1, 2, 3, -4, 5, -6, 7]), q_motor, rtol=1e-15)
@@ -78,7 +78,8 @@ def test_what_does_not_fit_is_refused(yumi: Robot, name: str) -> None:
 
 
 def test_the_parallel_rod_of_the_irb2400() -> None:
-    """ABB's axis 3 is the angle of the upper arm from the horizontal: axis 2 alone leaves its direction alone."""
+    """ABB's axis 3 is the angle of the upper arm from the horizontal: moving axis 2 alone does not change its
+    direction."""
     robot = robots.load("irb2400")
     abb = np.deg2rad([[10, 0, 20, 30, 40, 50], [10, 35, 20, 30, 40, 50]])
     q = couplings.motor_to_joint(robot, abb)
@@ -90,7 +91,7 @@ def test_the_parallel_rod_of_the_irb2400() -> None:
 
 
 def test_what_is_missing_of_one_motor_is_not_missing_of_all_joints(yumi: Robot, wrist: Robot) -> None:
-    """A product with the matrix alone would spread NaN over zeros: one broken column of a log, all joints gone."""
+    """A plain matrix product would spread NaN through zeros: one broken column of a log would lose all joints."""
     broken = np.array([np.nan, 2.0, 3, 4, 5, 6, 7])
     for convert in (
         couplings.motor_to_joint,

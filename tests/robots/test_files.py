@@ -1,4 +1,4 @@
-"""Robot files: round trip to the last bit, the format, and a sentence for everything that can be wrong."""
+"""Robot files: round trip to the last bit, the format, and an error message for every possible fault."""
 
 from __future__ import annotations
 
@@ -280,7 +280,7 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
 
 
 def test_files_of_windows(tmp_path: Path) -> None:
-    """A mark before the text, carriage returns, an ending in capitals."""
+    """A byte-order mark, carriage returns, an upper-case extension."""
     robot = robots.load("irb120")
     robots.save(robot, tmp_path / "plain.toml")
     text = (tmp_path / "plain.toml").read_text(encoding="utf-8").replace("\n", "\r\n")
@@ -289,7 +289,7 @@ def test_files_of_windows(tmp_path: Path) -> None:
 
 
 def test_names_of_robot_descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    """A package like it, so that the network is not asked."""
+    """A stand-in package, so that the network is not used."""
     robots.save(robots.load("ur5e"), tmp_path / "toy.urdf")
     package = tmp_path / "robot_descriptions"
     package.mkdir()
@@ -302,7 +302,7 @@ def test_names_of_robot_descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.delitem(sys.modules, name)
     assert robots.load("toy_description").n == 6
     assert robots.load("toy_description", tip="flange").n == 6
-    assert capsys.readouterr() == ("", "Cloning\n")  # results alone go to stdout
+    assert capsys.readouterr() == ("", "Cloning\n")  # only results go to stdout
     for name, words in (
         ("far", "no network. The first use of a description needs network access"),
         ("other", "URDF of other_description"),

@@ -73,7 +73,7 @@ def test_bad_input_is_refused(call, words: str) -> None:
 
 
 def test_a_gripper_weighs_on_the_last_link() -> None:
-    """As the page on descriptions says: the torque that holds it is that of its weight at its place."""
+    """As the page on descriptions says: the holding torque is that of the gripper's weight at its position."""
     arm = robots.load("irb120")
     pi = from_body(1.2, [0, 0.01, 0.05], 0.002 * np.eye(3))
     inertias = np.zeros((arm.n, 10))

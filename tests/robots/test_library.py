@@ -84,7 +84,7 @@ def test_every_number_states_its_source(name: str) -> None:
 
 
 def test_no_number_of_the_library_has_changed() -> None:
-    """A model file is bound to the hash of its robot; what has changed on purpose is compared with its source again."""
+    """A model file is bound to the hash of its robot; numbers changed on purpose are checked against their source."""
     assert {name: robots.load(name).hash[:16] for name in robots.names()} == HASHES
 
 
@@ -94,7 +94,7 @@ def inside(robot: Robot, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["fr3", "iiwa14", "panda", "ur5e"])
 def test_bodies_are_possible_and_can_be_held(name: str) -> None:
-    """No negative density, and gravity leaves torque to move with, everywhere."""
+    """No negative density, and enough torque to move against gravity everywhere."""
     robot = robots.load(name)
     assert ("inertias: estimate, not the vendor's" in robot.source) == (name in ("panda", "iiwa14"))
     assert robot.inertias is not None
@@ -125,7 +125,7 @@ Row = tuple[tuple[float, ...], tuple[float, ...], tuple[int, ...]]  # xyz, rpy, 
 
 
 def abb(*origins: tuple[float, float, float]) -> list[Row]:
-    """Axes of ROS-Industrial's ABB arms; the flange comes last and looks along x."""
+    """Axes of ROS-Industrial's ABB arms; the flange comes last and points along x."""
     axes = (Z, Y, Y, X, Y, X, None)
     return [(xyz, (0, H, 0) if axis is None else LEVEL, axis or Z) for xyz, axis in zip(origins, axes, strict=True)]
 
@@ -209,10 +209,10 @@ def test_forward_is_that_of_another_source(name: str) -> None:
     """100 configurations inside the limits."""
     robot = robots.load(name)
     q = inside(robot, 100)
-    tolerance = 1e-9 if name == "ur5e" else 1e-12  # what the sources agree to
+    tolerance = 1e-9 if name == "ur5e" else 1e-12  # precision of the sources
     np.testing.assert_allclose(kinematics.forward(robot, q), flanges(TABLES_URDF[name], q), atol=tolerance, rtol=0)
 
 
 def test_every_robot_has_another_source() -> None:
-    """The ancestor's YuMi is held to its reference numbers; DH_test is no robot."""
+    """The ancestor's YuMi is held to its reference numbers; DH_test is not a real robot."""
     assert set(robots.names()) - set(TABLES_URDF) == {"dh_test", "yumi_left", "yumi_right"}

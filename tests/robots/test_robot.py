@@ -54,7 +54,7 @@ def test_it_copies_what_it_is_given_and_fills_in_the_rest() -> None:
 
 
 def test_frames_hold_mount_and_tool(yumi: Robot) -> None:
-    """Of a robot with bodies and meshes: all else stays."""
+    """For a robot with bodies and meshes; everything else stays the same."""
     T_base_mount, T_flange_tool = se3.exp([1, 2, 3, 0.1, 0.2, 0.3]), se3.exp([0, 0, 0.1, 0, 0, 0.5])
     pi = inertia.from_body(np.arange(1.0, 8.0), np.full((7, 3), 0.1), np.tile(np.eye(3), (7, 1, 1)))
     robot = replace(yumi, inertias=pi, tau_max=np.arange(1.0, 8.0), meshes=[[MESH], *[[]] * 7])
@@ -81,7 +81,7 @@ def test_equality_is_by_content(yumi: Robot) -> None:
     assert hash(replace(yumi)) == hash(yumi)
     assert yumi != robots.load("yumi_right")
     assert yumi != "yumi_left"
-    assert yumi.chain.n == 7  # the cached chain must not stand in the way
+    assert yumi.chain.n == 7  # the cached chain must not interfere
     for twin in (pickle.loads(pickle.dumps(yumi)), copy.deepcopy(yumi)):
         assert twin == yumi
         assert not twin.links.flags.writeable
@@ -116,7 +116,7 @@ def test_hash_counts_numbers_not_words(yumi: Robot) -> None:
 
 
 def test_hash_does_not_see_the_last_digit_or_the_sign_of_zero(yumi: Robot) -> None:
-    """Another machine's sine may differ in the last digit; its model files are still those of this robot."""
+    """Another machine's sine may differ in the last digit; its model files must still match this robot."""
     links = yumi.links.copy()
     links[:, :3, :3] += np.spacing(links[:, :3, :3])
     assert replace(yumi, links=links).hash == yumi.hash
@@ -126,7 +126,7 @@ def test_hash_does_not_see_the_last_digit_or_the_sign_of_zero(yumi: Robot) -> No
 
 
 def test_optional_numbers_count_in_the_hash_where_there_are_any(yumi: Robot) -> None:
-    """Model files are bound to the hash: a robot that says nothing of torques and masses keeps the one it had."""
+    """Model files are bound to the hash: a robot without torque limits and masses keeps its earlier hash."""
     assert yumi.hash == "dabb698bc5f5565c350e713f803600a5ebf2206271f2684ab6e7963726dd1029"
     assert np.isinf(yumi.tau_max).all()
     assert yumi.inertias is None
@@ -163,7 +163,7 @@ def test_a_rotation_that_is_off_is_refused() -> None:
 
 @pytest.mark.parametrize("digits", [6, 8, 12])
 def test_rounded_poses_are_projected(digits: int) -> None:
-    """To eight decimals, as poses are printed; what is orthonormal to 1e-9 keeps its bits."""
+    """Rounded to eight decimals, as poses are printed; rotations orthonormal to 1e-9 keep their bits."""
     T = se3.exp(np.random.default_rng(1).normal(size=6))
     arm = robots.load("ur5e").with_tool(np.round(T, digits)).with_base(np.round(T, digits))
     np.testing.assert_allclose(arm.T_flange_tool, T, rtol=0, atol=2 * 10.0**-digits)
@@ -173,7 +173,7 @@ def test_rounded_poses_are_projected(digits: int) -> None:
 
 
 def dh_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
-    """The matrix of the textbooks, entry by entry."""
+    """The textbook DH matrix, entry by entry."""
     ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     return np.array([[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]])
 
@@ -213,7 +213,7 @@ def test_limits_that_look_like_degrees_are_doubted() -> None:
     ):
         robot = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_min=[-3.0, -170.0], q_max=[3.0, 170.0])
     assert robot.q_max[1] == 170.0
-    turns = 2.0 * np.pi * np.array([1.1, 4.0, 96.0, np.inf])  # 400 degrees; an ABB wrist; without end
+    turns = 2.0 * np.pi * np.array([1.1, 4.0, 96.0, np.inf])  # 400 degrees; an ABB wrist; unlimited
     robots.from_dh("wide", 0.0, np.ones(4), 0.0, q_min=-turns, q_max=turns)
     robots.from_dh("slide", 0.0, 1.0, 0.0, prismatic=[True], q_min=[0.0], q_max=[100.0])
 
@@ -227,7 +227,7 @@ def test_angles_of_a_table_that_look_like_degrees_are_doubted() -> None:
 
 
 def random_screws(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Unit axes through random points; about a third slide."""
+    """Unit axes through random points; about a third are prismatic."""
     axis = rng.standard_normal((n, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     slides = rng.random((n, 1)) < 0.3

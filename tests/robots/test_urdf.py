@@ -229,7 +229,7 @@ def test_limits_in_degrees_are_doubted_and_a_wrist_of_more_than_a_turn_is_not() 
 
 
 def test_there_and_back(tmp_path: Path, tree: Tree) -> None:
-    """A written URDF read back: frames, limits, bodies and meshes; what was mount and tool is in the links now."""
+    """A written URDF read back: frames, limits, bodies and meshes; mount and tool are now part of the links."""
     robot = (
         tree.chain("body", "cup").with_tool(se3.exp([0.1, 0.2, 0.3, 1, 2, 1])).with_base(se3.exp([1, 1, 0, 0, 1, 0]))
     )
@@ -289,7 +289,7 @@ def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
     ):
         robot = odd.chain("body", "cup")
     assert robot.inertias is not None
-    odd.chain("body", "right_1")  # what is not on the arm does not matter
+    odd.chain("body", "right_1")  # parts outside the arm do not matter
     placeholder = urdf.parse(TWO_ARMS.replace('<mass value="0.5"/>', '<mass value="0"/>'))
     with pytest.warns(
         UserWarning, match=r"a nonzero mass for every link with an inertia.*mass 0 in 'cup' \(line \d+\)"
@@ -300,7 +300,7 @@ def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
 
 
 def test_a_rotation_may_be_a_quaternion() -> None:
-    """URDF 1.2 has quat_xyzw beside rpy."""
+    """URDF 1.2 allows quat_xyzw instead of rpy."""
     text = """<robot name="r"><link name="a"/><link name="b"/>
       <joint name="j" type="continuous"><parent link="a"/><child link="b"/><origin {}/></joint></robot>"""
     quarter = urdf.parse(text.format('quat_xyzw="0 0 0.7071067811865476 0.7071067811865476"')).joints[0]
@@ -318,7 +318,7 @@ def urdf_of(robot: Robot, tmp_path: Path) -> str:
 
 
 def random_robot(seed: int, n: int) -> Robot:
-    """Any frames, any joints, any bodies, and limits."""
+    """Random frames, joints, bodies and limits."""
     draw = np.random.default_rng(seed).uniform([[-3], [1], [1], [1]], [[-1], [3], [3], [3]], (4, n))
     return replace(random_chain(seed, n), **dict(zip(("q_min", "q_max", "qd_max", "tau_max"), draw)))
 
@@ -352,7 +352,7 @@ def test_any_robot_is_the_same_in_pinocchio(seed: int, tmp_path: Path) -> None:
 
 
 def test_right_angles_do_not_lose_digits(tmp_path: Path) -> None:
-    """Roll, pitch and yaw are singular at a pitch of 90 degrees, which robots are full of."""
+    """Roll, pitch and yaw are singular at a pitch of 90 degrees, which is common in robots."""
     rng = np.random.default_rng(0)
     quarter = [se3.exp([0, 0, 0.1, *(np.pi / 2 * axis)]) for axis in np.vstack([np.eye(3), -np.eye(3)])]
     for nudge in (0.0, 1e-15, 1e-12, 1e-9, 1e-6):
@@ -362,7 +362,7 @@ def test_right_angles_do_not_lose_digits(tmp_path: Path) -> None:
 
 
 def test_limits_that_are_none_written(tmp_path: Path) -> None:
-    """Turning without end is `continuous`; every other missing limit becomes 1e9, and a comment says so."""
+    """Unlimited rotation is `continuous`; every other missing limit becomes 1e9, and a comment says so."""
     limits: Details = {"q_min": [-np.inf, -np.inf, -np.inf], "q_max": [np.inf, np.inf, 1.0], "tau_max": [5, 6, 7]}
     text = urdf_of(robots.from_dh("r", 0.0, [1, 1, 1], 0.0, prismatic=[0, 1, 0], **limits), tmp_path)
     assert '<joint name="joint_1" type="continuous">' in text

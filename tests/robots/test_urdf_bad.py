@@ -1,4 +1,4 @@
-"""URDF that contradicts itself: one sentence with file, line and what to do. Spoiled text: no other exception."""
+"""URDF that contradicts itself: one sentence with file, line and what to do. Corrupted text: no other exception."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def test_depth_is_bounded() -> None:
 
 
 def test_long_and_wide_trees() -> None:
-    """Nothing is recursive, nothing quadratic that shows."""
+    """No recursion, and no noticeable quadratic cost."""
     n = 1000
     links = "".join(f'<link name="l{i}"/>' for i in range(n))
     long = "".join(LOOSE.format(f"l{i}", f"l{i + 1}").replace('"j"', f'"j{i}"') for i in range(n - 2))
@@ -187,7 +187,7 @@ def test_more_parts_than_any_robot_has(links: int, moving: int, words: str) -> N
 
 
 def survives(text: str | bytes) -> None:
-    """A robot, or a sentence of armlab."""
+    """Reading gives a robot or an armlab error."""
     sentence = "."
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Expected (principal moments|revolute limits|a nonzero mass for)")

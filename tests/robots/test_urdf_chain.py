@@ -20,7 +20,7 @@ KINDS = ("revolute", "continuous", "prismatic", "fixed")
 
 @dataclass
 class Body:
-    """What the generator knows of a link: where it hangs, and its mass in its own frame."""
+    """The generator's data of a link: its parent, and its mass properties in its own frame."""
 
     parent: int
     kind: str
@@ -106,7 +106,8 @@ class Peer:
         pin.updateFramePlacements(self.model, self.data)
 
     def jacobian(self, base: str, tip: str, names: tuple[str, ...]) -> np.ndarray:
-        """Velocity [v; w] of the tip seen from the base, in its axes: that of the tip less that of the base there."""
+        """Velocity [v; w] of the tip relative to the base, in base axes: that of the tip less that of the base
+        there."""
         at_tip, at_base = (
             pin.getFrameJacobian(self.model, self.data, self.model.getFrameId(name), pin.LOCAL_WORLD_ALIGNED).reshape(
                 6, -1
@@ -131,7 +132,7 @@ def assert_same_kinematics(robot: Robot, base: str, tip: str, peer: Peer, rng: n
 
 
 def rigidly_joined(bodies: list[Body], k: int) -> set[int]:
-    """Return the links that fixed joints join to link k, in any direction."""
+    """Return the links that fixed joints connect to link k, in any direction."""
     group = {k}
     while True:
         more = {
@@ -175,7 +176,8 @@ def test_every_chain_of_a_random_tree(seed: int) -> None:
             assert not any(masses)
             continue
         np.testing.assert_allclose(robot.inertias[:, 0], masses)
-        # What the links of the arm weigh, gathered in the base: the poses are Pinocchio's, the masses the generator's.
+        # Mass properties of the arm's links, expressed in the base: the poses are Pinocchio's, the masses the
+        # generator's.
         q = rng.uniform(-2, 2, robot.n)
         peer.move(dict(zip(robot.joint_names, q)))
         expected = np.zeros((robot.n, 10))
@@ -190,7 +192,7 @@ def test_every_chain_of_a_random_tree(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_dropped_branches_are_warned_of_with_their_mass_and_kept_when_locked(seed: int) -> None:
-    """All masses that move are in the arm, in the warning, or rigid with its base."""
+    """All moving masses are in the arm, in the warning, or rigidly attached to its base."""
     rng = np.random.default_rng(seed)
     text, bodies = random_tree(rng)
     tree, q = urdf.parse(text), float(rng.uniform(-1, 1))
@@ -213,7 +215,7 @@ def test_dropped_branches_are_warned_of_with_their_mass_and_kept_when_locked(see
 
 
 def follows(bodies: list[Body], k: int, group: set[int]) -> bool:
-    """Whether a link is in a group or hangs on it."""
+    """Return whether a link is in a group or descends from it."""
     while k >= 0 and k not in group:
         k = bodies[k].parent
     return k in group
@@ -282,7 +284,7 @@ PUBLISHED = Path(__file__).parents[3] / "shared/data/ident/staubli_tx40/tx40_mdh
 
 @pytest.mark.skipif(not PUBLISHED.exists(), reason="needs ../shared: a published URDF of the Staubli TX40")
 def test_a_published_arm(tmp_path: Path) -> None:
-    """Read, and written and read again: kinematics, torques, limits and meshes are those that Pinocchio sees."""
+    """Read, and written and read again: kinematics, torques, limits and meshes match those in Pinocchio."""
     robot, rng = robots.load(PUBLISHED), np.random.default_rng(0)
     robots.save(robot, tmp_path / "tx40.urdf")
     assert [mesh.file.rsplit("/", 1)[1] for group in robot.meshes for mesh in group if mesh.kind == "visual"] == [

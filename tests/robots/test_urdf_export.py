@@ -73,7 +73,7 @@ def test_the_urdf_of_a_model_gives_its_torques_in_pinocchio_and_mujoco(fitted, t
 
 @pytest.mark.slow
 def test_parameters_that_no_torque_shows_are_made_bodies(fitted, truth) -> None:
-    """The true bodies, moved by what no torque shows until they are none: their torques come back."""
+    """The true bodies, moved along unobservable directions until they are unphysical: their torques are recovered."""
     arm, base = truth.robot, base_parameters(truth.robot)
     rng = np.random.default_rng(3)
     about = 1e-3 * (np.eye(3) + 0.2 * np.ones((3, 3)))
@@ -95,7 +95,7 @@ def test_parameters_that_no_torque_shows_are_made_bodies(fitted, truth) -> None:
 @pytest.mark.slow
 def test_a_model_that_no_bodies_have_says_how_far_they_are(fitted, truth) -> None:
     heavy = fitted.value.link_parameters.copy()
-    heavy[-1, 4:] = -0.1  # moments below zero, which torques show
+    heavy[-1, 4:] = -0.1  # negative moments, which torques reveal
     sd = np.sqrt(np.diag(fitted.value.base_cov))
     links, _, away = bodies_of(replace(fitted.value, link_parameters=heavy), truth.robot)
     assert np.linalg.eigvalsh(pseudo_inertia(links)).min() > 0

@@ -125,7 +125,7 @@ def test_init_may_be_an_array_and_fixes_the_shape() -> None:
 
 
 def after(t: float | None = None, dt: float | None = None) -> LowPass2:
-    """A filter that has had a sample."""
+    """A filter that has already processed one sample."""
     operator = LowPass2(10.0, dt)
     operator.step(1.0, t)
     return operator
@@ -159,7 +159,7 @@ MIDDLE = slice(1000, 4000)
 
 
 def response(y: np.ndarray, frequency: float) -> tuple[float, float]:
-    """Gain and phase shift [rad] of y over a sine of that frequency."""
+    """Gain and phase shift [rad] of y relative to a sine of that frequency."""
     phasor = np.exp(-2j * np.pi * frequency * T[MIDDLE])
     ratio = np.sum(y[MIDDLE] * phasor) / np.sum(np.sin(2 * np.pi * frequency * T[MIDDLE]) * phasor)
     return abs(ratio), float(np.angle(ratio))

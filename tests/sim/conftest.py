@@ -61,7 +61,7 @@ class ThreadedPeer:
 
 @pytest.fixture
 def make_peer() -> Iterator[Callable[..., ThreadedPeer]]:
-    """Give a function that makes peers, and close them in the end."""
+    """Yield a function that creates peers, and close them at the end."""
     made: list[ThreadedPeer] = []
 
     def make(robot: Robot, answer: Reply | None = None, port: int = 0) -> ThreadedPeer:

@@ -38,7 +38,7 @@ def sway(robot: Robot, t: float, share: float = 0.6, hertz: float = 0.35) -> tup
 
 
 def equation(robot: Robot, truth: Truth, sample: TrueState) -> np.ndarray:
-    """Torque that the motion needs by the kernels' inverse dynamics."""
+    """Torque required by the motion, from the kernels' inverse dynamics."""
     rigid = robot.chain.rnea(sample.q, sample.qd, sample.qdd, robot.gravity, truth.pi)
     return rigid + truth.rotor * sample.qdd + sample.tau_friction - robot.chain.jacobian(sample.q).T @ sample.wrench
 
@@ -64,7 +64,7 @@ def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
 
 
 def test_a_payload_appears_as_its_weight() -> None:
-    """1 kg at the tool point that the model does not know: f_z = -9.81 N at rest."""
+    """1 kg at the tool point, unknown to the model: f_z = -9.81 N at rest."""
     tool = YUMI.frames[-1][:3, 3]
     arm = SimulatedArm(YUMI, TRUTH.with_payload(1.0, tool).without("friction", "ripple"))
     for _ in range(1000):
@@ -75,7 +75,7 @@ def test_a_payload_appears_as_its_weight() -> None:
 
 
 def test_energy_is_kept_without_drives_and_friction() -> None:
-    """A free double swing: kinetic plus potential energy, from the kernels' terms, stays."""
+    """A free double swing: kinetic plus potential energy, from the kernels' terms, is conserved."""
     free = TRUTH.without("friction", "ripple", "offset")
     arm = SimulatedArm(YUMI, free, q=YUMI.q_home + 0.5)
     arm.drive.torque = lambda *args: args[-1].fill(0.0)  # type: ignore[method-assign]
@@ -187,7 +187,7 @@ def test_torque_comes_late_and_position_does_not() -> None:
 
 
 def test_an_elastic_gear_turns_by_what_it_carries() -> None:
-    """At rest it carries gravity; a velocity is the derivative of the position that is reported."""
+    """At rest the gear carries gravity; the reported velocity is the derivative of the reported position."""
     arm = SimulatedArm(YUMI, NOISELESS, mismatch=Mismatch(elasticity=1e-2))
     carried = YUMI.chain.rnea(arm.sample.q, np.zeros(7), np.zeros(7), YUMI.gravity, NOISELESS.pi)
     np.testing.assert_allclose(arm.measure().q - arm.sample.q, 1e-2 * carried / NOISELESS.tau_max, atol=1e-6)
@@ -276,7 +276,7 @@ def test_constant_speed_gives_the_stribeck_curve(speed: float) -> None:
 
 
 def test_break_away_is_at_static_friction() -> None:
-    """A slowly growing torque on a free mass: it creeps within the presliding distance, then it goes."""
+    """A slowly growing torque on a free mass: it creeps within the presliding distance, then breaks away."""
     friction, inertia = JointFriction(SMOOTH), np.full(7, 0.2)
     qd, q, broke = np.zeros(7), np.zeros(7), np.full(7, np.nan)
     for share in np.linspace(0.0, 1.6, 20000):
@@ -348,7 +348,7 @@ def test_offsets_swing() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_ripple_jumps_at_reversal(sign: float) -> None:
-    """Forward it is where it was; backward its phase is later by the knob."""
+    """Forward, the ripple is unchanged; backward, its phase is shifted by `ripple_jump`."""
     speed = np.full(7, sign)
     jumping = slide_worn(WornFriction(WORN_TRUTH, Mismatch(ripple_jump=1.0), 0.01, np.zeros(7)), speed)
     rest = slide_worn(JointFriction(SMOOTH), speed)

@@ -1,4 +1,4 @@
-"""The cell of known truth: what it draws, in which order, and that the fits find the truth behind it."""
+"""The cell with known ground truth: what it draws, in which order, and that the fits recover the truth."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_the_clock_jitters_and_runs_forwards() -> None:
 
 
 def test_a_camera_with_a_clock_of_its_own_sees_an_arm_that_moves(tmp_path) -> None:
-    """Joints brought to the times of the images leave the camera's noise; images taken for regular do not."""
+    """Joints interpolated to the image times leave only camera noise; assuming regular image times leaves more."""
     from armlab import log
     from armlab.kinematics import forward
 

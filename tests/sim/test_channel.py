@@ -70,7 +70,7 @@ def test_waiting_skips_what_is_no_answer(make_peer: MakePeer) -> None:
 
 
 def test_a_flood_does_not_outlast_the_patience(make_peer: MakePeer) -> None:
-    """Garbage without end: each look at it is a look at the clock and at the parent too."""
+    """Endless garbage: each read also checks the clock and the parent process."""
     client = channel(make_peer(ROBOT, lambda k, packet, reply: []).port)
     client._get = lambda: b"garbage"  # type: ignore[method-assign]
     client.prepare()
@@ -95,7 +95,7 @@ def test_replies_that_come_between_sessions_do_not_wait_for_the_next(make_peer: 
 
 
 def test_delayed_packets_leave_newest_first() -> None:
-    """So that a peer answers one of them, however fast it looks."""
+    """This way a peer answers only one of them, however fast it reads."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         client = channel(server.getsockname()[1])

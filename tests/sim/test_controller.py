@@ -207,7 +207,7 @@ def test_a_fast_reference_that_leaves_the_range_brakes_at_once() -> None:
 
 
 def test_an_arm_driven_beyond_all_numbers_is_dead() -> None:
-    """An operator who means newtons and writes millions; packets of NaN would be the alternative."""
+    """An operator enters millions instead of newtons; the alternative would be packets with NaN."""
     peer = Task(AppliedWrench(np.array([0.0, 9.0]), np.full((2, 6), 1e9)), masses=True)
     with np.errstate(all="ignore"):
         for _ in range(300):
@@ -260,7 +260,7 @@ def test_operator_acts_on_guidance_time() -> None:
 
 
 def planned_after(garbage: list[bytes]) -> np.ndarray:
-    """Run 20 cycles with garbage before each good reply; return what was planned."""
+    """Run 20 cycles with garbage before each good reply; return the planned positions."""
     peer = Task(masses=True)
     for k in range(20):
         for data in garbage:
@@ -409,8 +409,8 @@ def research(packet: Packet, tau: np.ndarray, scale: float) -> bytes:
 
 
 def test_torques_move_an_arm_whose_gains_are_zero() -> None:
-    """Torque mode: the exact gravity holds the arm, two newton metres more move joint 1, and giving the gains back
-    does not jerk."""
+    """Torque mode: the exact gravity holds the arm, two newton metres more move joint 1, and restoring the gains causes
+    no jerk."""
     task = Task(masses=True)
     task.run(5, task.position(ROBOT.q_home))
     sample = task.controller.arm.sample

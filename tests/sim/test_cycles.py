@@ -130,7 +130,7 @@ def test_real_time_keeps_the_period(make_peer: MakePeer) -> None:
 
 
 class Clock:
-    """The clocks of `run`, which go on only while it sleeps or works: nothing depends on a busy machine."""
+    """The clocks of `run`, which advance only while it sleeps or works, so that a busy machine has no effect."""
 
     def __init__(self) -> None:
         self.now = self.cpu = 0.0
@@ -180,7 +180,7 @@ def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer, cloc
 
 
 def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_peer: MakePeer) -> None:
-    """It never answers, so there is nothing to wait for; a peer that answers is waited for as ever."""
+    """It never answers, so there is nothing to wait for; a peer that answers is still waited for."""
     silent = make_peer(RIGHT, lambda k, packet, reply: [])
     begin = time.monotonic()
     assert run([channel(silent.port, program="stream")], Timing(lockstep=True, seconds=0.2)) == "the time is up"
@@ -199,7 +199,7 @@ def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_pee
 
 @pytest.mark.slow
 def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer: MakePeer, clock: Clock) -> None:
-    """A process that waits, as for a processor that others have, is not one that computes too long."""
+    """A process that waits, for example for a busy processor, does not count as computing too long."""
     counts = []
     for stall in (clock.sleep, clock.work):
         client = channel(make_peer(RIGHT).port, comm_timeout=60.0)
@@ -231,7 +231,7 @@ def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer, cloc
     [FaultRates(delay=(0.01, 0.004)), FaultRates(pause=(0.1, 0.05)), FaultRates(loss=0.3, burst=5)],
 )
 def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer, rates: FaultRates) -> None:
-    """With patience 60 s a single wrong wait would hang the test."""
+    """With a patience of 60 s, a single wrong wait would hang the test."""
     peer = make_peer(RIGHT)
     for outgoing, incoming in ((True, False), (False, True)):
         client = channel(peer.port)
@@ -259,7 +259,7 @@ FAULTS: dict[str, Any] = {
 
 
 class Wire:
-    """The way between bridge and controller, with faults in both directions."""
+    """The link between bridge and controller, with faults in both directions."""
 
     def __init__(self, outgoing: FaultRates, incoming: FaultRates) -> None:
         codec = RobotSideCodec(ROBOT, extension=True)
@@ -300,14 +300,14 @@ class Wire:
 
 
 def sway(state: State) -> Command:
-    """Velocities, so that time that was lost is no jump; far from the limits, because the last speed goes on."""
+    """Commands velocities, so that lost time causes no jump; far from the limits, because the last speed continues."""
     goal = MIDDLE + 0.2 * np.sin(2.0 * state.t) ** 2
     return Command(qd=0.4 * np.sin(4.0 * state.t) + 0.5 * (goal - state.q))
 
 
 @pytest.fixture
 def play(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Give a function that runs bridge and controller against each other."""
+    """Return a function that runs bridge and controller against each other."""
 
     leaves_out = QueueTrimming.leaves_out
 
@@ -319,7 +319,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(Port, "receive", lambda port: wire.receive())
         monkeypatch.setattr(Port, "send", lambda port, data, to: wire.send(data))
 
-        # a bridge in lockstep never leaves out a reply, because a robot would wait for it; this one does not wait
+        # a bridge in lockstep never skips a reply, because a robot would wait for it; this one does not wait
         def with_wire(trimming: QueueTrimming, depth: int, period: float) -> bool:
             return leaves_out(trimming, wire.depth, period)
 
@@ -349,7 +349,7 @@ def check(found: Any, controller: SimulatedController) -> None:
     ],
 )
 def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, way: str) -> None:
-    """Overtaken packets get no reply; for what faults of the replies leave in the queue, replies are left out."""
+    """Overtaken packets get no reply; replies are skipped to drain the queue that reply faults have filled."""
     rates = replace(FAULTS[fault](0.5), until=0.8, pause=(0.2, 0.5) if fault == "pause" else (0.0, 0.0))
     found, controller = play(*((rates, FaultRates()) if way == "out" else (FaultRates(), rates)), 3.0)
     assert found.reason == "the time is up"
@@ -360,10 +360,10 @@ def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
-    """1, 10 and 50 % of the datagrams in both directions, the more of them the shorter.
+    """Faults in 1, 10 and 50 % of the datagrams in both directions; the more faults, the shorter the run.
 
-    When half of all replies is lost ten at a time, the arm goes on with its last speed for up to a second: the
-    following error that is allowed says so.
+    When half of all replies is lost ten at a time, the arm continues at its last speed for up to a second, as the
+    allowed following error shows.
     """
     for share, of_share in SECONDS.items():
         seconds = 60.0 if fault == "pause" else of_share
@@ -373,7 +373,7 @@ def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
 
 
 def test_an_arm_that_goes_on_while_replies_are_lost_is_stopped(play: Any) -> None:
-    """What the bridge sees is an arm far from its reference, whether or not the network is why."""
+    """The bridge sees an arm far from its reference, whether or not the network is the cause."""
     faults = FAULTS["burst"](0.5)
     with pytest.raises(LinkError, match="a following error"):
         play(faults, faults, 60.0)

@@ -120,7 +120,7 @@ def test_the_echo_of_the_extension_decides() -> None:
 
 
 def test_packets_of_one_millisecond_share_their_tm_and_are_told_apart() -> None:
-    """A period of 0.25 ms: each reply means the oldest packet with that tm which nobody has answered."""
+    """With a period of 0.25 ms, each reply refers to the oldest unanswered packet with that tm."""
     box, _ = inbox(period=0.00025)
     send(box, 8, same_tm=4)
     assert [matched(box, SensorMessage(k, 10_000, 3)) for k in range(5)] == [0, 1, 2, 3, 3]
@@ -197,7 +197,7 @@ def test_everything_is_plain_json_and_text() -> None:
     statistics.record_reply(np.array([7.0, 8.5]), True, np.array([0.5]))
     statistics.record_reply(None, None, None)
     journal = EventLog("yumi_left", statistics, None)
-    for _ in range(2):  # sessions: each tells of a kind of drop once
+    for _ in range(2):  # sessions: each reports a kind of drop once
         for _ in range(3):
             journal.drop(0.5, Drop("no header", "4 bytes"), b"\1\2")
         journal.begin()

@@ -1,4 +1,4 @@
-"""Refusals of the simulator: wrong input, the error, and words that its sentence must have."""
+"""Invalid inputs of the simulator, each with its error and words that the message must contain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robot Web Services of the simulated controller: judged by foreign clients, then misused."""
+"""Robot Web Services of the simulated controller: tested with third-party clients, then misused."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ENDMODULE
 
 @pytest.mark.parametrize("robotware", ["6.07", "6.10", "7"])
 def test_abb_robot_client(tmp_path: Path, robotware: str) -> None:
-    """Of others for RobotWare 6, as it comes; for 7 over our transport, which translates."""
+    """A third-party client for RobotWare 6, unmodified; for 7 over our translating transport."""
     from abb_robot_client.rws import RWS
 
     with rws_controller(tmp_path, robotware) as served:
@@ -71,7 +71,7 @@ def test_abb_robot_client(tmp_path: Path, robotware: str) -> None:
 
 
 def test_rwswrap(tmp_path: Path) -> None:
-    """A client of others for RobotWare 7, as it comes."""
+    """A third-party client for RobotWare 7, unmodified."""
     wrap = pytest.importorskip("rwswrap.RWS", reason="needs rwswrap of the extra dev")
     with rws_controller(tmp_path, "7") as served:
         served.box.files["$HOME/Probe.modx"] = MODULE.encode()
@@ -90,7 +90,7 @@ def test_rwswrap(tmp_path: Path) -> None:
 
 
 def test_packets_follow_rapid() -> None:
-    """None before RAPID runs; guidance while it does; afterwards packets tell that it rests, until main again."""
+    """No packets before RAPID runs; guidance while it runs; then packets report it stopped, until main runs again."""
     robot = robots.load("yumi_left")
     box = VirtualController(["yumi_left"], [("127.0.0.1", 6511)], "6.10")
     arm = LaggingArm(robot)

@@ -1,4 +1,4 @@
-"""Synthetic truth, and how the arm that moves differs from it."""
+"""Synthetic ground truth, and how the moving arm differs from it."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ REPORTED = {
 
 
 def sway(arm: SimulatedArm, seconds: float = 0.5) -> np.ndarray:
-    """Torques that a short sway needs, and what is reported of it (4, K, n): exact torque, then q, qd, tau."""
+    """A short sway (4, K, n): the exact torque that it needs, then the reported q, qd and tau."""
     rows = []
     for k in range(1, round(seconds / T)):
         w = 2 * np.pi * 0.5

@@ -1,4 +1,4 @@
-"""The soak: what processes hold is counted, the judge finds each fault and no more, clients leave nothing behind."""
+"""The soak test: resources are counted, the verdict finds each fault and nothing else, clients leave nothing behind."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def scattered(seed: int) -> np.ndarray:
 
 
 def late(seed: int) -> np.ndarray:
-    """Delays [s] on a machine that others use for minutes."""
+    """Delays [s] on a machine that is busy for minutes at a time."""
     rng = np.random.default_rng(seed)
     busy = np.repeat(rng.uniform(1.0, 5.0, 20), 15)
     return 4e-4 * (1.0 + busy * rng.exponential(0.5, len(T)))
@@ -50,7 +50,8 @@ def late(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_memory_that_leaks_16_bytes_per_tick_is_found_and_what_scatters_is_not(seed: int) -> None:
-    """The bound is 2 MiB in the second half: 9 bytes per tick in half an hour. Fails for the slope of all of it."""
+    """The bound is 2 MiB in the second half: 9 bytes per tick in half an hour. A slope over the whole run would
+    fail."""
     held = scattered(seed)
     assert verdict.memory("", T, held).is_met
     assert not verdict.memory("", T, held + 16.0 * TICKS).is_met
@@ -61,7 +62,7 @@ def test_memory_that_leaks_16_bytes_per_tick_is_found_and_what_scatters_is_not(s
 def test_a_descriptor_that_is_lost_is_found_and_those_that_come_and_go_are_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
     held = 20 + 5 * (rng.uniform(size=len(T)) < 0.2)
-    held[-1] = 3  # seen while it ended
+    held[-1] = 3  # sampled while the process ended
     assert verdict.count("", held).is_met
     assert not verdict.count("", held + (0.6 * T[-1] < T)).is_met
 
@@ -85,7 +86,7 @@ PROCESSES = ("loop and recorder", "simulator", "server zenoh", "commander")
 
 
 def well() -> dict[str, Any]:
-    """What a run leaves in which nothing grows."""
+    """Results of a run in which nothing grows."""
     rng = np.random.default_rng(0)
     fast, late = (s * (1.0 + rng.exponential(0.3, len(T))) for s in (3e-4, 9e-4))
     counted = {"packets": 446429, "dropped": 0, "seconds": 1800.0}
@@ -180,7 +181,7 @@ def test_a_fault_is_found(fault: str) -> None:
 
 
 def test_memory_and_descriptors_of_a_process_are_counted(tmp_path: Path) -> None:
-    """Fails when pages of files count, or when only what is resident at the start does."""
+    """Fails if file pages count, or if only memory resident at the start does."""
     memory, descriptors, threads, cpu = held(os.getpid())
     files = [(tmp_path / f"{k}").open("w") for k in range(5)]
     try:
@@ -202,7 +203,7 @@ def test_what_a_process_started_belongs_to_it_until_it_ends() -> None:
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         try:
             assert child.stdout is not None
-            child.stdout.readline()  # before, the kernel may not have its words yet
+            child.stdout.readline()  # before that, the kernel may not have its arguments yet
             assert child.pid in family(os.getpid())
             assert label(child.pid, os.getpid()) == "server zenoh"
         finally:
@@ -222,13 +223,13 @@ def test_the_last_look_is_at_the_end(tmp_path: Path) -> None:
 
 
 def test_who_waits_is_told_that_nobody_looks_any_more(tmp_path: Path) -> None:
-    """Fails when the thread only ends: the run would go on without it, and be judged by what it saw."""
+    """Fails if the thread merely ends: the run would continue without it and be judged on incomplete data."""
 
     def processes() -> Iterator[tuple[int, str]]:
         yield os.getpid(), "me"
         raise OSError(28, "No space left on device")
 
-    for seconds in (10.0, 0.0):  # who waits, and who comes to the end of the run
+    for seconds in (10.0, 0.0):  # a waiting caller, and one that reaches the end of the run
         watch = Watch(tmp_path / "held.csv", 1e-3, processes)
         with pytest.raises(ArmlabError, match=r"until the end, got OSError\(28, 'No space"), watch:
             watch.pause(seconds)
@@ -238,7 +239,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, object]]:
-    """Run a part. Return its findings that a short run can judge, by what they are of."""
+    """Run a part. Return those findings, by subject, that a short run can judge."""
     words = [sys.executable, str(ROOT / "soak" / "run.py"), part, "--seconds", str(seconds), "--folder", str(folder)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=500.0, check=False)
     assert (folder / "result.json").exists(), ended.stdout + ended.stderr
@@ -251,7 +252,7 @@ def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, objec
 
 
 def failed(judged: dict[str, dict[str, object]]) -> list[str]:
-    """What is beyond its bound, but for what some seconds on a busy machine cannot tell."""
+    """Return the findings beyond their bounds, except those that need more than seconds on a busy machine."""
     short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets skipped", "last sample")
     return [what for what, one in judged.items() if not one["is_met"] and not any(word in what for word in short)]
 
@@ -312,7 +313,7 @@ def ports() -> dict[str, int]:
 
 @pytest.fixture(scope="module")
 def bridge(ports: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
-    """A bridge with a simulated arm and a server of each kind that is tried; its local socket is this test's own."""
+    """A bridge with a simulated arm and a server of each tested kind; only this test uses its local socket."""
     folder = tmp_path_factory.mktemp("clients")
     text = '[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left?lagging=true"\n'
     text += f"[servers.labcomm]\nports = {{ yumi_left = 0 }}\nparameters = 0\nrows = {ports['labcomm']}\n"
@@ -369,7 +370,7 @@ def zenoh(port: int) -> None:
 def test_clients_that_come_and_go_leave_nothing_behind(
     bridge: Program, ports: dict[str, int], visit: Callable[[int], None], count: int
 ) -> None:
-    """Three lots of them: the second costs the server no more than one piece of memory, nor does the third.
+    """Three batches of clients: neither the second nor the third costs the server more than one block of memory.
 
     Takes 2 to 20 s each.
     """
@@ -386,7 +387,7 @@ def test_clients_that_come_and_go_leave_nothing_behind(
 
 
 def settled(root: int, name: str, before: list[tuple[int, int, int]]) -> tuple[int, int, int]:
-    """Return what a server holds, once the last client's connection has been closed on its side too."""
+    """Return the resources that a server holds, once the last client's connection has been closed on its side too."""
     (pid,) = [one for one in family(root) if label(one, root) == name]
 
     def look() -> tuple[int, int, int]:
@@ -395,7 +396,7 @@ def settled(root: int, name: str, before: list[tuple[int, int, int]]) -> tuple[i
     looks = [look()]
 
     def is_still() -> bool:
-        """Whether nothing was closed in twenty looks; later lots also wait until they cost what the first did."""
+        """Return whether twenty checks saw no change; later batches also wait until they cost what the first did."""
         looks.append(look())
         return len({one[1:] for one in looks[-20:]}) == 1 and len(looks) >= 20
 

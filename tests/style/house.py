@@ -1,7 +1,7 @@
-"""The size and shape of the code base: `make house` prints what is measured beside its goal.
+"""The size and shape of the code base: `make house` prints each measurement beside its goal.
 
-All but the walks of one datagram and of `fit_dynamics` is read from the sources. Import circles of any kind count: at
-import, inside functions, or for type hints.
+Everything is read from the sources, except the call traces of one datagram and of `fit_dynamics`. Import cycles of any
+kind count: at import, inside functions, or for type hints.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ GENERATED = {SOURCE / "wire/egm/armlab_egm_pb2.py"}
 
 
 class Goal(NamedTuple):
-    """One line of the table: what is measured, as it was when the goals were set, and the most that is wanted."""
+    """One line of the table: the quantity measured, its value when the goals were set, and its upper limit."""
 
     name: str
     before: int
@@ -92,7 +92,7 @@ def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
 def circles() -> list[list[str]]:
     """Return the groups of modules that import one another, each a strongly connected component (Tarjan)."""
     known = modules()
-    facade = {"armlab"}  # sees everything, and is seen for its version
+    facade = {"armlab"}  # imports everything, and is imported for its version
     graph = {name: sorted(set(imports(path, known)) - {name} - facade) for name, path in known.items()}
     index: dict[str, int] = {}
     low: dict[str, int] = {}
@@ -186,9 +186,9 @@ def short_log() -> tuple[Any, Any]:
 
 @cache
 def fit_walk() -> tuple[int, int]:
-    """Return how many files `fit_dynamics` visits, and through how many at most its calls nest."""
+    """Return how many files `fit_dynamics` visits, and through how many files its calls nest at most."""
     robot, table = short_log()
-    fit_dynamics(table, robot)  # lazy imports are no part of the walk
+    fit_dynamics(table, robot)  # lazy imports are not part of the trace
     files: set[str] = set()
     stack: list[str] = []
     deepest = 0

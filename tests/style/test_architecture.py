@@ -25,7 +25,7 @@ GENERATED = {SOURCE / "wire/egm/armlab_egm_pb2.py"}
 FILES = sorted(p for p in SOURCE.rglob("*.py") if p not in GENERATED)
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
-LAYERS = [  # low to high; packages on one line do not see each other
+LAYERS = [  # low to high; packages on one line do not import each other
     {"errors", "_display"},
     {"_files", "glossary", "state", "_interrupts", "_numbers"},
     {"kernels"},
@@ -57,12 +57,12 @@ def tree(path: Path) -> ast.Module:
 
 @cache
 def nodes(path: Path) -> tuple[ast.AST, ...]:
-    """Every node of a file: many rules look at all of them, and each walk costs more than the rule."""
+    """All nodes of a file: many rules visit them all, and walking the tree costs more than a rule."""
     return tuple(ast.walk(tree(path)))
 
 
 def package(path: Path) -> str:
-    """Name of the layer that owns a file; the top files (`__init__`, `__main__`) see everything."""
+    """Name of the layer that owns a file; the top files (`__init__`, `__main__`) may import everything."""
     parts = path.relative_to(SOURCE).parts
     return parts[0].removesuffix(".py")
 
@@ -76,7 +76,7 @@ def imported(node: ast.AST) -> list[str]:
 
 
 def each_file(paths: list[Path]) -> Callable[[Callable[[Path], None]], Callable[[], None]]:
-    """Make one test of a rule for all files, which names those that break it: five thousand tests cost ten times it."""
+    """Make one test of a rule for all files that names violations; five thousand tests would cost ten times as much."""
 
     def decorate(rule: Callable[[Path], None]) -> Callable[[], None]:
         def test() -> None:
@@ -101,7 +101,7 @@ def calls(path: Path, *names: str) -> list[ast.Call]:
 
 
 def statements(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what may hold a function, and no expressions: a fifth of the nodes."""
+    """Yield nodes that may contain a function, without expressions: a fifth of the nodes."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
             yield child
@@ -186,7 +186,7 @@ def test_file_names(path: Path) -> None:
 
 @each_file(FILES)
 def test_columns_that_are_made_are_in_the_glossary(path: Path) -> None:
-    """A name that every log may have says its unit once; columns of the user's own are named by the user."""
+    """The unit of a column that any log may have is defined once; users name their own columns."""
     for call in calls(path, "with_column"):
         name = call.args[0]
         if isinstance(name, ast.Constant):
@@ -195,7 +195,7 @@ def test_columns_that_are_made_are_in_the_glossary(path: Path) -> None:
 
 @each_file(FILES)
 def test_modules_and_public_names_are_documented(path: Path) -> None:
-    """Public is what a package exports; its docstrings are full, those of other names may be one sentence or none."""
+    """Names exported by a package are public and have full docstrings; others may have one sentence or none."""
     module = tree(path)
     assert ast.get_docstring(module), "the module has no docstring"
     exported = public_names(package(path)) & set(exports(module) or public_names(package(path)))
@@ -216,7 +216,7 @@ def is_overload(node: ast.FunctionDef | ast.ClassDef) -> bool:
 
 @cache
 def public_names(layer: str) -> set[str]:
-    """Names that a package and the packages in it export."""
+    """Names exported by a package and its subpackages."""
     found = list((SOURCE / layer).rglob("__init__.py")) or [SOURCE / f"{layer}.py"]
     return {name for path in found if path.exists() for name in exports(tree(path)) or []}
 
@@ -260,7 +260,7 @@ def test_package_exports_are_imported(path: Path) -> None:
 
 @each_file([p for p in FILES if p.name == "__init__.py" and "__getattr__" in {f.name for f in functions(p)}])
 def test_what_is_imported_on_first_use_is_not_hidden_by_a_module(path: Path) -> None:
-    """Whoever imports `armlab.sim.x` binds the module to that name of the package, and `sim.x` is no function more."""
+    """Importing `armlab.sim.x` binds the module to that name of the package, and `sim.x` is no longer a function."""
     modules = {p.stem for p in path.parent.iterdir()}
     for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and (SOURCE.parent / (node.module or "").replace(".", "/")) != path.parent:
@@ -270,7 +270,7 @@ def test_what_is_imported_on_first_use_is_not_hidden_by_a_module(path: Path) -> 
 
 @each_file([p for p in FILES if p.name == "__init__.py" and p.parent.parent == SOURCE])
 def test_every_public_name_is_tested(path: Path) -> None:
-    """Somewhere in the tests of its package, or of the whole (laws, contract)."""
+    """Somewhere in the tests of its package, or of the whole project (laws, contract)."""
     folders = [ROOT / "tests" / folder for folder in (path.parent.name, "laws", "style")]
     words = {word for folder in folders for test in folder.rglob("*.py") for word in re.findall(r"\w+", source(test))}
     missing = sorted(public_names(path.parent.name) - words)
@@ -348,7 +348,7 @@ def test_import_armlab_is_light() -> None:
 
 @pytest.mark.parametrize("layer", ["contact", "identify", "bridge", "estimation", "models"])
 def test_the_estimator_never_sees_the_truth(layer: str) -> None:
-    """Only the log that came over the wire: no file of these packages names the simulator's package."""
+    """Only the log received over the wire: no file of these packages names the simulator's package."""
     for path in (SOURCE / layer).rglob("*.py"):
         assert not re.search(r"armlab\.sim|from armlab import .*\bsim\b", path.read_text(encoding="utf-8")), relative(
             path
@@ -356,7 +356,7 @@ def test_the_estimator_never_sees_the_truth(layer: str) -> None:
 
 
 def test_the_rules_can_fail() -> None:
-    """The pose rule and the parameter parser see what they must see."""
+    """The pose rule and the parameter parser detect what they must detect."""
     bad = ast.parse("T_base_tool @ T_cam_marker").body[0].value  # type: ignore[attr-defined]
     assert pose_frames(bad.left)[1] != pose_frames(bad.right)[0]  # type: ignore[index]
     good = ast.parse("T_a_b @ T_b_c").body[0].value  # type: ignore[attr-defined]
@@ -370,7 +370,7 @@ def test_the_rules_can_fail() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def without_garbage() -> Iterator[None]:
-    """Millions of nodes that stay: searching them for garbage takes as long as the rules."""
+    """Millions of nodes stay in memory: collecting garbage among them takes as long as the rules."""
     gc.disable()
     yield
     gc.enable()

@@ -64,7 +64,7 @@ def test_figures_are_medians_and_ratios_of_one_round(harness: dict[str, ModuleTy
 
 
 def test_a_time_is_not_judged_by_itself(harness: dict[str, ModuleType]) -> None:
-    """The same bar would be met on one machine and missed on another."""
+    """The same target would be met on one machine and missed on another."""
     blocks = harness["blocks"]
     ours = [blocks.Contender("ours", constant(1.0, 1.0, 1.0), "armlab", bar=2.0)]
     with pytest.raises(ValueError, match="ours to be judged by a ratio, got a bar in ms"):
@@ -156,7 +156,7 @@ def section(harness: dict[str, ModuleType], ours: float, theirs: float, alone: f
 
 @pytest.fixture
 def baseline(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
-    """The module, with a file of its own that holds one run."""
+    """The module, with its own file that contains one run."""
     baseline = harness["baseline"]
     monkeypatch.setattr(baseline, "PATH", tmp_path / "baseline.json")
     baseline.store("2026-01-02", "Fast.", [section(harness, 1.0, 4.0)])
@@ -230,7 +230,7 @@ def test_picture_has_a_row_per_table(harness: dict[str, ModuleType], tmp_path: P
 
 
 def test_a_bar_of_nothing_at_all_has_no_place_in_the_picture(harness: dict[str, ModuleType]) -> None:
-    """Of rows that may not be missing there is no multiple."""
+    """A limit of zero missing rows has no ratio."""
     one = harness["blocks"].Figure("local", "armlab", "", 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
     assert one.is_met
     assert harness["picture"]._over_bar(one) is None
@@ -254,7 +254,7 @@ def test_what_fails_is_run_once_more(harness: dict[str, ModuleType], monkeypatch
 def test_what_hangs_is_ended(
     harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deaf: bool
 ) -> None:
-    """Also where no signal reaches it, as in a compiled function that waits; what it started is ended too."""
+    """Also if no signal reaches it, as in a blocking compiled function; processes it started are ended too."""
     mask = "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])" if deaf else "pass"
     (tmp_path / "bench_hangs.py").write_text(
         f"""

@@ -1,4 +1,4 @@
-"""The documentation builds without warnings, and its pages ask nobody outside for anything."""
+"""The documentation builds without warnings, and its pages load nothing from outside."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LINKS_THAT_LOAD = {
 
 
 class Requests(HTMLParser):
-    """Collects the outside addresses that a browser would ask for by itself; links to click are none."""
+    """Collects external addresses that a browser would load by itself; links to click do not count."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class Requests(HTMLParser):
 
 
 class Links(HTMLParser):
-    """The links of a page inside the documentation, and the places that links can lead to."""
+    """The internal links of a page, and its link targets."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class Links(HTMLParser):
 
 
 def outside_requests(name: str, text: str) -> list[str]:
-    """Return the outside addresses that a page, a style sheet or a script asks for."""
+    """Return the external addresses that a page, a style sheet or a script requests."""
     if name.endswith(".css"):
         return IN_STYLES.findall(text)
     if name.endswith(".js"):
@@ -93,7 +93,7 @@ def outside_requests(name: str, text: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def built() -> Path:
-    """The pages of `make docs`; those whose sources have not changed since are not built again."""
+    """The pages of `make docs`; those whose sources have not changed are not rebuilt."""
     html = DOCS / "_build" / "html"
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", DOCS, html]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
@@ -121,7 +121,7 @@ def test_equations_are_mathml(built: Path) -> None:
 
 
 def test_equations_are_understood() -> None:
-    """Without the minute of a build: what docutils knows of LaTeX is less than what authors know."""
+    """Checked without a one-minute build: docutils supports less LaTeX than authors know."""
     from docutils.utils.math import MathError, latex2mathml
 
     refused, count = [], 0
@@ -163,7 +163,7 @@ def test_every_public_name_is_in_the_reference(built: Path) -> None:
 
 @pytest.mark.slow
 def test_links_between_pages_hold(built: Path) -> None:
-    """Files and places in them, of links and of what is shown; Sphinx checks only what it makes itself."""
+    """Files and anchors of links and embedded content; Sphinx checks only what it generates itself."""
     pages = {path: Links(path) for path in built.rglob("*.html")}
     broken = []
     for path, page in pages.items():
@@ -196,7 +196,7 @@ def test_the_library_is_in_the_reference(built: Path) -> None:
         assert about in page
 
 
-# Of a page in the browser: its width beyond the window [pixels], what is cut off, broken pictures, empty links.
+# For a page in the browser: its width beyond the window [pixels], clipped elements, broken images, empty links.
 FITS = """(() => {
     const width = document.documentElement.clientWidth, scrolls = element => {
         for (let e = element.parentElement; e; e = e.parentElement)

@@ -1,4 +1,4 @@
-"""What is imported is declared; what is an extra is asked for where it is used, and named when it is missing."""
+"""Imports are declared; extras are imported where they are used, and named when they are missing."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ MODULES = {
     "protobuf": "google",
     "ruamel.yaml": "ruamel",
     "tomli-w": "tomli_w",
-}  # packages that are imported by another name
+}  # packages that are imported under another name
 NOT_IMPORTED = {"pycollada", "example-robot-data"}  # trimesh imports it to read .dae; files only
-BROUGHT = {"attrs", "mpl_toolkits", "trimesh"}  # by cyclopts, whose help it is; by matplotlib; by viser, for its scenes
+BROUGHT = {"attrs", "mpl_toolkits", "trimesh"}  # by cyclopts, for its help; by matplotlib; by viser, for its scenes
 NAMED = re.compile(r"^\s*(?:import|from) (\w+)|(?:import_module|needed)\(\"(\w+)", flags=re.M)
 BLOCKED = """
 import sys
@@ -55,12 +55,12 @@ OPTIONAL = {module: extra for extra, names in EXTRAS.items() for module in names
 
 
 def named(source: str) -> set[str]:
-    """Return names that may be those of imported modules, more rather than less; quicker than to parse every file."""
+    """Return possible names of imported modules, rather too many than too few; faster than parsing every file."""
     return {one or other for one, other in NAMED.findall(source)}
 
 
 def imports(node: ast.AST, answers: str = "") -> Iterator[tuple[str, int, str]]:
-    """Yield module, line, and the source of the handlers of the `try` around it, of imports that run."""
+    """Yield module, line and source of the enclosing `try` handlers for imports that are executed."""
     if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
         return
     names: list[str] = []

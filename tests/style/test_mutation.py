@@ -1,4 +1,4 @@
-"""The explained survivors of mutation testing still point at what the sources say. `make mutants` runs it."""
+"""The explained survivors of mutation testing still match the sources. `make mutants` runs it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def functions(node: ast.AST, above: str = "") -> list[str]:
 
 
 def test_each_survivor_points_at_lines_that_stand_once_in_its_file() -> None:
-    """Fails when a line that was explained is edited: its mutants are others then, and want another look."""
+    """Fails when an explained line is edited, because its mutants change and need another review."""
     assert SURVIVORS
     for one in SURVIVORS:
         source = (ROOT / one["file"]).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Pages that name files, functions and tests are true: parity, defects of the ancestors, architecture, security."""
+"""Pages that name files, functions and tests are correct: parity, defects of the ancestors, architecture, security."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMED = re.compile(r"`([\w/]+\.py)::([\w:]+)`")
 
 
 def table(page: Path | str, head: str) -> list[list[str]]:
-    """Return the cells of all tables of a page; heads, by their first word, and rulers left out."""
+    """Return the cells of all tables of a page, without rulers and header rows (which start with `head`)."""
     text = page if isinstance(page, str) else page.read_text(encoding="utf-8")
     lines = (line for line in text.splitlines() if line.startswith("|") and not line.startswith(("|---", f"| {head}")))
     return [[cell.strip("| ") for cell in line.strip("|").split(" | ")] for line in lines]
@@ -41,7 +41,7 @@ def statements(path: str) -> list[ast.stmt]:
 
 
 def exists(path: str, name: str) -> bool:
-    """Return whether a file of tests has a function, or a class with a method."""
+    """Return whether a test file has a function, or a class with a method."""
     if not (TESTS / path).is_file():
         return False
     body = statements(path)

@@ -1,6 +1,6 @@
-"""Every public name with its signature is on a list: a change is seen before a user meets it.
+"""Every public name and its signature is listed, so that a change is noticed before it reaches users.
 
-`make api` writes the list anew; what the change says of it belongs into CHANGELOG.md.
+`make api` rewrites the list; the change belongs in CHANGELOG.md.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def signature(thing: Any) -> str:
     """Parameters with annotations and defaults as they are written, without addresses and line ends."""
     try:
         known = inspect.signature(thing)
-    except (TypeError, ValueError):  # built in, or of C
+    except (TypeError, ValueError):  # built-in or in C
         return "(...)"
     written = [p.replace(annotation=plain(p.annotation)) for p in known.parameters.values()]
     text = str(known.replace(parameters=written, return_annotation=plain(known.return_annotation)))
@@ -117,7 +117,8 @@ def test_public_names_and_signatures_are_those_of_the_list() -> None:
     change = difflib.unified_diff(listed.splitlines(), there.splitlines(), "listed", "there is now", n=0, lineterm="")
     if listed != there:
         pytest.fail(
-            "The public names changed. If that is meant: `make api`, and a line in CHANGELOG.md.\n" + "\n".join(change),
+            "The public names changed. If this is intended: `make api`, and a line in CHANGELOG.md.\n"
+            + "\n".join(change),
             pytrace=False,
         )
 

@@ -1,4 +1,4 @@
-"""The rules of docs/security.md that can be read from the sources: nothing that is read can run, nothing listens wide.
+"""The rules of docs/security.md that can be read from the sources: no input runs as code, nothing listens publicly.
 
 As for the rules of structure, sources are read and never imported.
 """
@@ -24,7 +24,7 @@ ATTRIBUTES = re.compile(
     r"yaml\.(load|load_all|unsafe_\w+|full_\w+)$|subprocess\.get(status)?output$|"
     r".*\.(spec_from_file_location|exec_module|load_module|SourceFileLoader)$"
 )
-"""What runs a program or a text, as it is written, however it is used."""
+"""Names that run a program or a text, as written, however they are used."""
 
 STARTS_PROGRAMS = {  # file: which
     "bridge/servers/ros1/process.py": "the Python that has rospy, of the system or named in the cell",
@@ -43,10 +43,10 @@ RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the 
 
 WIDE = {  # file: why "every address" stands there
     "bridge/cell.py": "named by --listen",
-    "bridge/doctor/report.py": "armlab doctor listens where robots send, and answers nobody",
+    "bridge/doctor/report.py": "armlab doctor listens where robots send, and never replies",
     "bridge/servers/ros/dds.py": "recognises Cyclone's sockets to narrow them",
-    "bridge/servers/zenoh/session.py": "recognises routers that anybody reaches, to refuse them",
-    "cli/record.py": "armlab record listens where robots send, and answers nobody",
+    "bridge/servers/zenoh/session.py": "recognises routers that anyone can reach, to refuse them",
+    "cli/record.py": "armlab record listens where robots send, and never replies",
     "cli/__init__.py": "an example of a command",
 }
 
@@ -58,7 +58,7 @@ def found(path: Path, rule) -> Iterator[str]:
 
 
 def runs_data(node: ast.AST) -> list[str]:
-    """What could make code of data."""
+    """Return names that could turn data into code."""
     if isinstance(node, ast.Import):
         return [one.name for one in node.names if one.name.partition(".")[0] in RUNS_DATA]
     if isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -74,7 +74,7 @@ def runs_data(node: ast.AST) -> list[str]:
 
 
 def starts_programs(node: ast.AST) -> list[str]:
-    """What starts another program; by name of the module, so that the rule on shells sees its calls."""
+    """Return what starts another program, by module name, so that the rule on shells sees its calls."""
     if isinstance(node, ast.Import):
         return [one.name for one in node.names if one.name == "subprocess"]
     if isinstance(node, ast.ImportFrom) and node.module == "subprocess":
@@ -85,7 +85,7 @@ def starts_programs(node: ast.AST) -> list[str]:
 
 
 def uses_a_shell(node: ast.AST) -> list[str]:
-    """Programs are started with a list of words, never by a line for a shell, nor objects read by NumPy."""
+    """Programs are started with a list of arguments, never a shell command line; NumPy never reads objects."""
     if not isinstance(node, ast.Call) or not node.keywords:
         return []
     starts = ast.unparse(node.func).startswith("subprocess.")
@@ -95,7 +95,7 @@ def uses_a_shell(node: ast.AST) -> list[str]:
 
 
 def listens_wide(node: ast.AST) -> list[str]:
-    """An address that stands for all of this computer, or a socket that is bound to one."""
+    """An address that stands for all interfaces of this computer, or a socket bound to one."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return [repr(node.value)] if "0.0.0.0" in node.value else []
     is_bind = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "bind"
@@ -106,7 +106,7 @@ def listens_wide(node: ast.AST) -> list[str]:
 
 
 def reads_without_a_bound(node: ast.AST) -> list[str]:
-    """A datagram or stream of a socket is read up to a size."""
+    """A datagram or stream of a socket is read up to a maximum size."""
     is_read = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
     return [node.func.attr] if is_read and node.func.attr in ("recv", "recvfrom") and not node.args else []  # pyright: ignore
 

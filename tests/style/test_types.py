@@ -17,7 +17,7 @@ WANTED = 0.99
 
 @pytest.mark.slow
 def test_the_public_interface_is_typed() -> None:
-    """What is left is generated: the messages of EGM take mappings of anything."""
+    """Only generated code remains untyped: the EGM messages accept arbitrary mappings."""
     words = ["pyright", "--verifytypes", "armlab", "--ignoreexternal", "--outputjson", "--pythonpath", sys.executable]
     paths = os.pathsep.join([str(SOURCES), sysconfig.get_path("purelib")])
     environment = {**os.environ, "PYTHONPATH": paths}

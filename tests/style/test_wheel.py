@@ -1,4 +1,4 @@
-"""What is handed out: the sdist holds what building takes, the wheel what running takes; neither needs a network."""
+"""Distributions: the sdist contains what building needs, the wheel what running needs; neither needs a network."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def unpacked(sdist: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(unpacked: Path) -> Path:
-    """The wheel of the unpacked sdist; not optimised: that takes the compiler eight times as long."""
+    """The wheel of the unpacked sdist; not optimised, because that takes the compiler eight times as long."""
     for tool in ("ziglang", "auditwheel"):
         pytest.importorskip(tool, reason=f"needs {tool}: make zig")
     options = [f"WHEEL_OF={unpacked}", f"WHEEL_TO={unpacked.parent}", "WHEEL_FLAGS=-O0"]
@@ -77,7 +77,7 @@ def wheel(unpacked: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The programs of an environment with nothing but the wheel, beside what armlab needs."""
+    """The programs of an environment with only the wheel and the dependencies of armlab."""
     folder = tmp_path_factory.mktemp("new")
     venv.create(folder)
     (site,) = folder.glob("lib/python*/site-packages")
@@ -101,7 +101,7 @@ def run(folder: Path, *command: str, **changes: str) -> subprocess.CompletedProc
 
 
 def test_sdist_holds_what_it_takes_to_build(unpacked: Path) -> None:
-    """The sources, the pages a reader looks for, and nothing of this folder besides: no tests, no logs, no builds."""
+    """The sources, the pages a reader looks for, and nothing else from this folder: no tests, no logs, no builds."""
     top = {"CMakeLists.txt", "pyproject.toml", "LICENSE", "README.md", "CHANGELOG.md", "CITATION.cff", "PKG-INFO"}
     assert {path.name for path in unpacked.iterdir()} == top | {"native", "src", "CONTRIBUTING.md"}
     assert files(unpacked / "native") == files(ROOT / "native")
@@ -128,7 +128,7 @@ def test_installed_wheel_runs_the_compiled_core(wheel: Path, programs: Path) -> 
 
 
 def test_the_demo_runs_from_the_wheel_without_a_compiler(wheel: Path, programs: Path, tmp_path: Path) -> None:
-    """Of old Linux versions too: what is linked is glibc of 2012, of the C++ library nothing."""
+    """Also on old Linux versions: the wheel links glibc of 2012, and not the C++ library."""
     assert "manylinux_2_17" in wheel.name
     run(programs, "armlab", "demo", "--fast", "-o", str(tmp_path / "demo"), PATH=str(programs))
     assert (tmp_path / "demo" / "summary.json").is_file()
@@ -136,7 +136,7 @@ def test_the_demo_runs_from_the_wheel_without_a_compiler(wheel: Path, programs: 
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Path:
-    """A folder of programs without a compiler; a build tool is among what pip brings."""
+    """A folder of programs without a compiler; pip provides a build tool."""
     folder = tmp_path / "bare"
     folder.mkdir()
     tool = shutil.which("ninja") or shutil.which("make")

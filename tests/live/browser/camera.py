@@ -1,4 +1,4 @@
-"""A camera of the tests' own before an arm, and where the balls at the tools are in its pictures."""
+"""A test camera in front of an arm, and the positions of the tool balls in its images."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def taken(server: Any, path: Path) -> np.ndarray:
 
 
 def off(picture: np.ndarray, at: np.ndarray) -> float:
-    """Return how far the ball at the tool is from where it should be [pixels]; infinite where there is none."""
+    """Return the distance of the tool ball from its expected position [pixels]; infinite if it is not found."""
     color = np.array(rgb(TOOL_COLOR), dtype=float)
     pixels = picture[..., :3].astype(float)
     shade = pixels @ color / (color @ color)  # light changes the length, not the direction
@@ -52,7 +52,7 @@ def off(picture: np.ndarray, at: np.ndarray) -> float:
 
 
 def seen(server: Any, points: list[np.ndarray], path: Path) -> float:
-    """Return how far the tools in the picture are from where they should be, once they are there or too late."""
+    """Return the largest distance of the tools from their expected positions, once they arrive or time is up."""
     worst = np.inf
     for _ in range(PICTURES):
         picture = taken(server, path)

@@ -21,7 +21,7 @@ FLAGS = """--headless=new --disable-gpu --use-gl=angle --use-angle=swiftshader -
     --ignore-gpu-blocklist --disable-quic --no-first-run --disable-background-networking --disable-component-update
     --disable-sync --window-size=1400,960 --remote-debugging-port=0"""
 ONLY_HERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost"
-ONE_RESOLUTION = "fixedDpr=1"  # viser draws coarser, seconds after it began, where it finds the computer slow
+ONE_RESOLUTION = "fixedDpr=1"  # on a slow computer, viser lowers its resolution after a few seconds
 PATIENCE = 120.0  # s for one answer of a browser that draws without a graphics card on a busy machine
 
 
@@ -30,7 +30,7 @@ class Page:
 
     Attributes
     ----------
-    errors : what its console told as an error. requests : addresses that it or its workers asked for.
+    errors : errors on its console. requests : addresses requested by it or its workers.
     """
 
     def __init__(self, socket: Any) -> None:
@@ -60,7 +60,7 @@ class Page:
     def _hear(self, event: dict[str, Any]) -> None:
         what, about = event.get("method", ""), event.get("params", {})
         if what == "Target.attachedToTarget":  # a worker: it has the socket to the server
-            self._ask("Network.enable", about["sessionId"])  # not waited for: its answer may come after another's
+            self._ask("Network.enable", about["sessionId"])  # not awaited: its answer may come after another's
         elif what in ("Network.requestWillBeSent", "Network.webSocketCreated"):
             self.requests.append(about["request"]["url"] if "request" in about else about["url"])
         elif what == "Runtime.exceptionThrown":
@@ -93,7 +93,7 @@ class Page:
             time.sleep(0.1)
 
     def click(self, label: str) -> None:
-        """Press the mouse on the button with this label, once it rests where the mouse would meet it."""
+        """Click the button with this label, once it has stopped moving and nothing covers it."""
         button = f"[...document.querySelectorAll('button')].find(one => one.innerText.trim() === {json.dumps(label)})"
         self.wait(f"!!({button})")
         script = f"""(button => {{
@@ -102,7 +102,7 @@ class Page:
         }})({button})"""
         last, until = None, time.monotonic() + PATIENCE
         while (place := self.value(script)) != last or not place[2]:
-            assert time.monotonic() < until, f"the button {label!r} does not rest: {place}"
+            assert time.monotonic() < until, f"the button {label!r} does not stop moving: {place}"
             last = place
             time.sleep(0.1)
         for kind in ("mousePressed", "mouseReleased"):
@@ -150,9 +150,9 @@ def browse(_chromium: str) -> Callable[[str], Page]:
 
 @pytest.fixture(scope="session")
 def open_page(browse: Callable[[str], Page]) -> Iterator[Callable[[Any], Page]]:
-    """Return the page of a server, connected, in front of others: only then pictures come from it.
+    """Return the connected page of a server, in the foreground: only then does it send images.
 
-    It stays for the next test, since the scene of a new one takes 20 s to be lit.
+    It stays open for the next test, since lighting the scene of a new page takes 20 s.
     """
     pages: dict[str, Page] = {}
 

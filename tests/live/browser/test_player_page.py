@@ -30,7 +30,7 @@ def positions(robot: Robot, t: np.ndarray) -> np.ndarray:
 
 
 def recorded(robot: Robot) -> Recorded:
-    """Return an arm that moves, with a force on it from 9 s on, whose covariance is known from 10 s on."""
+    """Return a moving arm with a force from 9 s on, whose covariance is known from 10 s on."""
     q, wrench, cov = positions(robot, T), np.zeros((len(T), 6)), np.full((len(T), 6, 6), np.nan)
     wrench[T >= 9.0, :3] = [0.0, 12.0, 16.0]
     cov[T >= 10.0] = np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
@@ -56,7 +56,7 @@ class View:
         self.player.advance(0.0)
 
     def run_until(self, condition: Callable[[], bool]) -> None:
-        for _ in range(1000):  # only a test that fails takes all
+        for _ in range(1000):  # only a failing test uses all of them
             self.player.run(0.05)
             if condition():
                 return

@@ -1,4 +1,4 @@
-"""The map between ABB's axes and joints, also of robots whose motors move two joints."""
+"""The map between ABB's axes and joints, also for robots whose motors move two joints."""
 
 from __future__ import annotations
 

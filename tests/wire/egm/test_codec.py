@@ -262,7 +262,7 @@ def unusual(wire: Any) -> list[bytes]:
 
 
 def test_unusual_messages(six: Any, wire: Any) -> None:
-    codec = EgmCodec(six)  # which keeps its memory from one message to the next
+    codec = EgmCodec(six)  # which keeps its state from one message to the next
     for data in unusual(wire):
         as_protobuf(six, data)
         codec.reset()

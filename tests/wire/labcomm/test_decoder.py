@@ -1,4 +1,4 @@
-"""`Decoder`, also with any bytes."""
+"""`Decoder`, also with arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def test_lengths_of_2014old_are_not_believed() -> None:
     assert decoder.dialect == "2014old"
 
 
-SLOWEST = 5.0  # s of processor time per stream: one that a number in it makes long takes minutes, a slow machine 0.6
+SLOWEST = 5.0  # s of processor time per stream: a slow machine takes 0.6, a stream inflated by one number minutes
 LARGEST = 16 * 2**20  # bytes
 
 
