@@ -218,7 +218,7 @@ def test_copies_of_a_sample_count_once_and_held_values_are_told(capsys) -> None:
     np.testing.assert_array_equal(A, seen.A)
     np.testing.assert_array_equal(B, seen.B)
     np.testing.assert_array_equal(rows, np.arange(0, 12, 2))
-    assert "6 of 12 rows of some.mat are duplicates" in capsys.readouterr().err
+    assert "6 of 12 rows of some.mat repeat earlier rows" in capsys.readouterr().err
     measured_rows(samples(), (seen.A, seen.B[[0, 0, 2, 3, 3, 5]]))
     assert "2 rows of some.mat repeat the previous measurement" in capsys.readouterr().err
     measured_rows(samples(), (seen.A, seen.B))

@@ -50,9 +50,9 @@ def with_nan(x: np.ndarray, *at: Any) -> np.ndarray:
 CASES: list[tuple[type[Exception], str, Callable[[], Any]]] = [
     (UnknownName, "method of least squares, got 'lasso'", lambda: fit(method="lasso")),
     (ShapeError, "got a generator", lambda: fit(iter(rows()), method="irls")),
-    (ShapeError, "3 lower bounds, each below the corresponding one of 3 upper bounds", lambda: fit(lower=np.zeros(2))),
-    (ShapeError, "lower bounds, each below", lambda: fit(lower=np.ones(3), upper=np.zeros(3))),
-    (ShapeError, "2 lower bounds, each below the corresponding one of 2 upper bounds",
+    (ShapeError, "3 lower bounds below the 3 corresponding upper bounds", lambda: fit(lower=np.zeros(2))),
+    (ShapeError, "lower bounds below", lambda: fit(lower=np.ones(3), upper=np.zeros(3))),
+    (ShapeError, "2 lower bounds below the 2 corresponding upper bounds",
      lambda: LinearProblem.of(["a", "b"], "x", np.ones(2), np.ones(2))),
     (ShapeError, "a prior of 3 finite values", lambda: fit(prior=Prior(np.zeros(3), np.zeros(3)))),
     (ShapeError, "a prior of 3 finite values", lambda: fit(prior=Prior(np.zeros(2), np.ones(2)))),

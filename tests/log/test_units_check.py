@@ -28,7 +28,7 @@ def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
         (joint_to_motor(robot, qd), r"axis_1 \(100 times: motor side, gear ratio 100\).*\(-101 times"),
         (1e-3 * qd, r"0\.001 times: thousandths"),
         (2.0 * qd, r"2 times: unit"),
-        (qd[:, [1, 0, *range(2, 7)]], r"axis_1 \(\S+ times: the column of axis_2 fits: wrong joint order\)"),
+        (qd[:, [1, 0, *range(2, 7)]], r"axis_1 \(\S+ times: the column of axis_2 matches: wrong joint order\)"),
         (np.roll(qd, 100, axis=0), r"timestamps of a signal other than q"),
     ]:
         with pytest.raises(ShapeError, match="derivative of q.*" + words + ".*Correct the column, or omit qd"):
@@ -66,7 +66,7 @@ def test_a_known_model_can_make_nothing_of_degrees_or_of_a_torque_that_is_not_me
     check_known(torn, tau, robot)
     with pytest.raises(ShapeError, match=r"axis_1 \(\S+, limit 2\.941: degrees"):
         check_known(np.rad2deg(torn), tau, robot)
-    with pytest.raises(NotExcited, match=r"got a constant for axis_1 \(constant torque\).*that the robot sends torque"):
+    with pytest.raises(NotExcited, match=r"got constant values for axis_1 \(constant torque\).*that the robot sends torque"):
         check_known(q, np.zeros_like(tau), robot)
 
 

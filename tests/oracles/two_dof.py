@@ -11,8 +11,8 @@ instead of yc', which would be stiff::
     ya_ref'' = kp (yc - ya) + kv (yc' - ya') + yc''
 
 with the forcing f of `primitive.py`. v is the speed: 1 as the primitive says, 0 for a stop; it scales all rates, so
-the path stays the same. Where ``max |ya - yc| / unit > e_max`` at the beginning of a step, yc, z and x stand still until it is
-below ``0.8 e_max``.
+the path stays the same. Where ``max |ya - yc| / unit > e_max`` at the beginning of a step, yc, z and x stand still
+until it is below ``0.8 e_max``.
 
 The state is ``[yc, z, e, ya, ya', x, frozen]``. All states are integrated jointly by RK4.
 """

@@ -263,7 +263,7 @@ def _in_si(
         known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
             raise LogError(
-                f"Expected a supported unit for {name!r} in {path}, got {unit!r}. Supported units: "
+                f"Expected a supported unit for {name!r} in {path}, got {unit!r}. Known: "
                 f"{', '.join(u for u in UNITS if u)}."
             )
         if array.dtype.kind == "U":
