@@ -19,7 +19,7 @@ PROGRAM = Path(__file__).with_name("publisher.py")
 
 
 def until(condition: Callable[[], Any], patience: float = PATIENCE, what: str = "it") -> Any:
-    """Wait until a condition set by another thread or process holds, and return its value."""
+    """Wait until another thread or process makes a condition true, and return its value."""
     end = time.monotonic() + patience
     while not (found := condition()):
         assert time.monotonic() < end, f"{what} did not happen"
@@ -35,7 +35,7 @@ def free_port() -> int:
 
 
 def bound(process: int, but: int = -1) -> set[str]:
-    """Addresses on which a process and its children listen, from /proc, optionally without one of them."""
+    """Return the addresses on which a process and its descendants listen, from /proc, except those of process `but`."""
     parents = {}
     for folder in Path("/proc").iterdir():
         with contextlib.suppress(OSError, ValueError, IndexError):

@@ -79,7 +79,9 @@ def test_a_log_is_never_replaced_by_what_it_becomes(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"rows")
     (tmp_path / "link").symlink_to(tmp_path)
     for folder in (tmp_path, tmp_path / "link"):
-        with pytest.raises(ConfigError, match=r"but 1 are inputs, the first being .*a\.mcap\. Choose another folder or format"):
+        with pytest.raises(
+            ConfigError, match=r"but 1 are inputs, the first being .*a\.mcap\. Choose another folder or format"
+        ):
             targets({"a": tmp_path / "a.mcap"}, folder, ".mcap", force=True)
     assert targets({"a": tmp_path / "a.mcap"}, tmp_path, ".csv", force=True) == {"a": tmp_path / "a.csv"}
 

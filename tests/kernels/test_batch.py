@@ -149,7 +149,7 @@ def test_threads_give_the_same_bits(name: str, threads: int) -> None:
 @pytest.mark.parametrize("shift", [0, 1], ids=["streamed", "odd address"])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_large_outputs_hold_the_same_bits(shift: int, threads: int) -> None:
-    """Beyond 16 MB, results bypass the caches, starting at an address that allows it."""
+    """Beyond 16 MB, results bypass the caches if the address of the output allows it."""
     chain, count = arm(6), 125_003
     q = np.random.default_rng(3).uniform(-4, 4, (count, 6))
     T = np.full(16 * count + shift, np.nan)[shift:].reshape(count, 4, 4)

@@ -62,8 +62,7 @@ def test_catching_up_does_not_overshoot() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_arm_brakes_before_either_end(sign: float) -> None:
-    """At 1 rad/s and 10 rad/s2 over 0.5 rad: the acceleration limit acts, then none, then braking, then the arm
-    rests."""
+    """At 1 rad/s and 10 rad/s2 over 0.5 rad: the acceleration limit acts, then no limit, then braking, then rest."""
     sent, acted, forward = np.zeros((3, 1)), [], np.array([sign])
     for _ in range(300):
         before = sent
@@ -95,7 +94,7 @@ def test_speeds_are_scaled_by_the_limit_of_each_joint() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_is_just_within_the_limits_is_sent_as_it_is(sign: float) -> None:
-    """The rounding slack never clamps values within the limits, and lets values just beyond them pass."""
+    """Values within the limits are never clamped; a relative tolerance of 1e-9 lets only tiny excesses pass."""
     step = 10.0 * T
     for wanted, last, bits in (
         (step, 0.0, 0), (step - 2e-11, 0.0, 0), (step + 1e-9, 0.0, 4), (1.0 - 5e-10, 1.0, 0)

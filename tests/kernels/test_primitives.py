@@ -49,7 +49,7 @@ def test_rollout_is_the_reference(case: dict[str, Any], K: int | None, own: bool
     ours, wanted = kernels.Primitive(*arguments(**case)), oracles.Primitive(*arguments(**case))
     rng = np.random.default_rng(case["seed"])
     if case["phase"] == "position":
-        longest, K = min(longest, 0.05 / case["alpha"]), K and min(K, 2)  # few steps for the slow reference
+        longest, K = min(longest, 0.05 / case["alpha"]), K and min(K, 2)  # few steps: the reference is slow
     n, t = case["n"], np.cumsum(rng.uniform(0.1, 1.0, 6)) * longest
     parts = rng.normal(size=(4, *(() if K is None else (K,)), n))
     weights = rng.normal(size=(K or 1, case["m"], n)) if own else None

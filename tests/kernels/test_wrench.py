@@ -42,7 +42,7 @@ def cost(x: np.ndarray, A: np.ndarray, error: np.ndarray, variance: np.ndarray, 
 def by_others(A: np.ndarray, error: np.ndarray, variance: np.ndarray, bound: np.ndarray) -> list[np.ndarray]:
     """Return the wrench from OSQP and from an active-set solver of SciPy.
 
-    Both minimise ``(error - d)^T S^-1 (error - d)`` over |d| <= bound, S = A^T C A + V, which remains after
+    Both minimise ``(error - d)^T S^-1 (error - d)`` over |d| <= bound, with S = A^T C A + V: the cost after
     substituting the most probable wrench for a given d.
     """
     S = A.T @ (PRIOR[:, None] * A) + np.diag(variance)
@@ -178,7 +178,7 @@ def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(method: int) -> N
 
 
 def test_without_digits_left_there_is_no_wrench() -> None:
-    """Seven joints observe six unknowns: without noise their covariance has rank six, its inverse no correct digit."""
+    """Seven joints, six unknowns: without noise the covariance has rank six, and its inverse has no correct digit."""
     A, _, _, variance, bound, error = next(problems(1, seed=0))
     for backend in (kernels, oracles):
         x, P, *_, singular = backend.solve_wrench(A, error, 1e-40 * variance, bound, PRIOR, MAP)

@@ -62,7 +62,7 @@ def test_numeric_example_of_the_ancestor() -> None:
 
 @pytest.mark.parametrize("name", ["yumi_left", "irb2400", "ur5e"])
 def test_convergence_is_quadratic(name: str) -> None:
-    """Starting within 0.1 rad of regular postures, the error falls below 1e-11 in at most 6 iterations, mostly in 4."""
+    """From starts within 0.1 rad of regular postures, errors fall below 1e-11 in at most 6 iterations, mostly in 4."""
     robot, rng = robots.load(name), np.random.default_rng(4)
     q, T = reachable(robot, 1000, seed=4)
     away = rng.normal(size=q.shape)
@@ -164,7 +164,7 @@ def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> No
 
 
 def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return which poses of these postures are reached by any posture, inside the limits and to 1e-9."""
+    """Return, for each posture, whether its pose is reached again by any posture, inside the limits and to 1e-9."""
     T_base_tool = kinematics.forward(robot, q)
     solution = kinematics.inverse(robot, T_base_tool)
     assert ((solution.q >= robot.q_min) & (solution.q <= robot.q_max)).all()
@@ -179,7 +179,8 @@ def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ARMS_LIBRARY)
 def test_random_poses(name: str) -> None:
-    """All 10 000 were found on each of the fourteen arms, after 1.2 to 1.8 starts on average; straight wrists too."""
+    """All 10 000 poses were solved on each of the fourteen arms, after 1.2 to 1.8 starts on average; straight wrists
+    too."""
     robot = robots.load(name)
     q = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (COUNT, robot.n))
     assert solved(robot, q).mean() >= 0.999
@@ -255,7 +256,7 @@ def test_unreachable_poses_end_soon_and_stay_finite() -> None:
 
 
 def test_turns_are_taken_back_into_the_limits() -> None:
-    """A joint with more than one revolution: the solution outside the limits has an equivalent inside."""
+    """A joint with a range of more than one revolution: the solution outside the limits has an equivalent inside."""
     robot = planar(1.0, 0.5, q_min=(-4.0, 3.3), q_max=(4.0, 6.0))
     result = inverse(robot, forward(robot, (0.5, 4.0)), (0.4, 3.3), task="position")
     assert result.success
@@ -368,7 +369,7 @@ def test_limits_are_avoided(name: str) -> None:
 
 
 def test_the_posture_that_is_asked_for() -> None:
-    """By default, the start of the search; one for all goals, or one per goal."""
+    """The default posture is the start of the search; one posture for all goals, or one per goal."""
     robot = robots.load(YUMI)
     rng = np.random.default_rng(4)
     q = rng.uniform(0.8 * robot.q_min, 0.8 * robot.q_max, (20, 7))

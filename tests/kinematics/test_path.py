@@ -83,7 +83,7 @@ def test_detours_lead_on_where_the_least_motion_ends() -> None:
     assert mended >= broken / 2
 
 
-ELBOWS = {  # seed of a motion: stretched arm with a rank-deficient Jacobian on it, from Newton steps to J^T u = 0
+ELBOWS = {  # seed of a motion: singular posture (stretched arm) on it, from Newton steps to J^T u = 0
     2: [-0.93122445307, -0.90183311819, -0.08261445186, -1.1902285784, 0.28462911968, 0.61356286254, -1.49687788119],
     3: [-1.47830751858, -1.06355786578, 0.91571908093, -1.23373591845, -2.2472460777, 0.013305745, -0.10047342614],
     4: [1.5638315892, -0.57021512563, 1.67886154333, -1.42534095549, 0.63916739911, -0.02572055412, 1.44796793734],
@@ -106,7 +106,7 @@ def test_through_singular_elbows_without_a_jump() -> None:
 
 
 def test_through_a_singular_wrist() -> None:
-    """Joint 5 of the IRB 2400 passes zero, where axes 4 and 6 coincide; they leave it as they entered."""
+    """Joint 5 of the IRB 2400 passes zero, where axes 4 and 6 coincide; all joints move on as before."""
     s = np.linspace(-0.4, 0.4, 201)[:, None]
     q = np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.5]) + s * [0.3, -0.2, 0.4, 0.5, 1.0, -0.6]
     path = inverse_path(IRB, forward(IRB, q), q[0], max_step=0.05)

@@ -39,7 +39,7 @@ def test_free_motion_is_inside_its_band(logs, method: str) -> None:
 
 @pytest.mark.parametrize("part", ["load friction", "doubt of a contact"])
 def test_each_part_of_the_model_is_needed(logs, part: str) -> None:
-    """Without each part, fewer forces of 3 kg are within 2 sigma, by more than 1 % on some axis."""
+    """Without this part, fewer forces of 3 kg are within 2 sigma, by more than 1 % on some axis."""
     model = protocol.without_load_friction(logs) if part == "load friction" else protocol.without_doubt(logs)
     less = protocol.judge(logs, "map", 3.0)[1] - protocol.judge(logs, "map", 3.0, model)[1]
     assert less.max() > 0.01

@@ -69,7 +69,7 @@ def read(path: Path, robot: Robot, q: np.ndarray) -> tuple[Table, np.ndarray]:
 )
 def test_every_press_is_found_and_as_large_as_the_sensor_says(method, point, largest, nees) -> None:
     """The residual lags by 25 to 50 ms. The contact point on the sensor is known; without it the wrench is less
-    certain: its band includes a moment of 2 N m, and, in x, 0.64 to 0.72 N; the specification asks for 0.6 N."""
+    certain: its band includes a moment of 2 N m, and its RMS error in x is 0.64 to 0.72 N (specification: 0.6 N)."""
     flange = se3.from_rp(euler.rot_z(-np.pi / 2), np.zeros(3))
     sensor = se3.from_rp(euler.rot_y(np.pi), [0.0, 0.0, 0.0287])
     robot = robots.load("panda").with_tool(flange @ sensor)

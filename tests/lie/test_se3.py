@@ -31,7 +31,7 @@ def test_hat_and_vee() -> None:
 
 
 def test_adjoint_by_hand() -> None:
-    """A frame 1 m along x, a quarter turn about z: rotation about its z axis moves the origin of a along -y."""
+    """A frame 1 m along x with a quarter turn about z: rotation about its z axis moves the origin of a along -y."""
     T_a_b = se3.from_rp(euler.rot_z(np.pi / 2), [1.0, 0.0, 0.0])
     twist_a = se3.adjoint(T_a_b) @ [0, 0, 0, 0, 0, 1.0]
     np.testing.assert_allclose(twist_a, [0, -1, 0, 0, 0, 1], rtol=0, atol=1e-16)
@@ -130,7 +130,7 @@ def test_an_unknown_path_is_refused() -> None:
 
 @pytest.mark.parametrize("digits", [8, 6])
 def test_rounded_rotations_are_used_as_the_nearest_ones(digits: int) -> None:
-    """Every function accepts poses with six decimals and treats them as projected; beyond 1e-5 all refuse."""
+    """Every function accepts poses with six decimals, as if they were projected; beyond 1e-5, all refuse."""
     T = np.round(se3.exp(random_twists(50)), digits)
     near, w = se3.project(T)[0], np.ones(6)
     R, exact = T[:, :3, :3], near[:, :3, :3]

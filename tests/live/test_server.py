@@ -1,4 +1,4 @@
-"""The server serves only a local view, prints nothing, and opens no tunnel."""
+"""The server serves the view on this computer only, prints nothing, and opens no tunnel."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
 
 
 def test_a_page_of_another_site_sees_nothing(server: Any, page: Any) -> None:
-    """A browser would let it connect, so the server must check the origin. Programs tell none."""
+    """A browser would let it connect, so the server must check the origin. Other programs send no origin."""
     from websockets.exceptions import ConnectionClosed
 
     port = server.get_port()

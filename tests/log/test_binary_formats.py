@@ -267,7 +267,7 @@ def test_a_log_of_matlab_in_both_orientations(tmp_path: Path) -> None:
 
 
 def test_version_73(table: Table, tmp_path: Path) -> None:
-    """Our file re-saved by MATLAB with save -v7.3, and a log written by MATLAB itself."""
+    """Our file as MATLAB re-saves it with save -v7.3, and a log as MATLAB itself writes it."""
     table = table.without("mode")
     ours = loadmat(log.write(table, tmp_path / "run.mat"))
     codes = np.frombuffer(str(ours["armlab"][0]).encode("utf-16-le"), "<u2")

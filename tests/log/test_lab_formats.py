@@ -215,7 +215,7 @@ def test_joints_of_both_arms(tmp_path: Path) -> None:
 
 
 def test_names_of_the_old_exports_and_holes(tmp_path: Path) -> None:
-    """Aliases, unfiltered velocity, NaN before the first value: missing for the joints it moves."""
+    """Aliases, unfiltered velocity, NaN before a motor's first value: missing for the joints that the motor moves."""
     robot, values, kinds = coupled(), signals(4), ("posRawAbs", "velRaw")
     names = {f"robot_0__joint_{k}__{signal}": values[signal][:, k] for k in range(7) for signal in kinds}
     names["robot_0__joint_2__posRawAbs"] = np.where(np.arange(20) < 3, np.nan, values["posRawAbs"][:, 2])

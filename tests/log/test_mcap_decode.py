@@ -119,7 +119,7 @@ def test_mixed_layouts_keep_their_rows(store, made: list[tuple[int, int]], chunk
 
 @pytest.mark.parametrize("chunking", [True, False])
 def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
-    """With or without chunks; one message reports all damage in a channel."""
+    """With or without chunks; one sentence reports all damaged messages of a channel."""
     out = io.BytesIO()
     writer = Writer(out, chunk_size=300, use_chunking=chunking)
     writer.start()
@@ -211,7 +211,7 @@ def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
 
 
 def test_counts_with_holes_in_one_piece_stay_missing_where_another_piece_has_none() -> None:
-    """A segment of integers before one of reals with NaN: NaN must not become an integer."""
+    """A piece of integers before one of reals with NaN: NaN must not become an integer."""
     path = "clamped"
     whole, holed = np.array([[1], [2]], dtype=np.uint8), np.array([[np.nan], [4.0]])
     pieces = [(np.array([0, 1]), {((path, 1),): whole}), (np.array([2, 3]), {((path, 1),): holed})]

@@ -82,7 +82,7 @@ def whole(data: bytes, tmp_path: Path) -> dict[int, np.ndarray]:
 
 
 def attempt(path: Path, data: bytes, whole: dict[int, np.ndarray]) -> int:
-    """Read, inspect and repair the bytes, or refuse them with one message; return the number of rows."""
+    """Read, inspect and repair the bytes, or refuse them with one error message; return the number of rows."""
     path.write_bytes(data)
     repaired = path.with_name("repaired.mcap")
     repaired.unlink(missing_ok=True)
@@ -269,7 +269,7 @@ def test_what_follows_an_open_chunk_costs_nothing_before_it(noise: bytes) -> Non
 
 @pytest.mark.parametrize("taken", [0, 9, 57])
 def test_a_header_of_which_the_disk_takes_a_part_hides_no_message(taken: int) -> None:
-    """The header overwrites that of the open chunk in the file; a failed write must leave the open one."""
+    """The header overwrites that of the open chunk in the file; a failed write must leave the chunk open."""
 
     class Failing(io.BytesIO):
         failures = 1

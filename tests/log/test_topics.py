@@ -107,7 +107,7 @@ def test_joints_of_another_robot_are_listed_on_both_sides(ros: Any, tmp_path: Pa
 
 
 def test_two_arms(ros: Any, tmp_path: Path) -> None:
-    """Two robots of the same type, each in its own namespace and with its own joint name prefix."""
+    """Two robots of the same type, each in its own namespace; then a robot with a prefix in its joint names."""
     messages = []
     for i in range(4):
         ns = ros.start + i * STEP
@@ -134,7 +134,7 @@ def test_two_arms(ros: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["ros_joint_names", "joint_names"])
 def test_topics_of_a_yumi(ros: Any, tmp_path: Path, kind: str) -> None:
-    """`ros2 bag record` of the bridge's topics; in bags, both arms are distinguished by their names."""
+    """`ros2 bag record` of the bridge's topics; in bags of both arms, names distinguish them."""
     arms = [robots.load(name) for name in ("yumi_left", "yumi_right")]
     messages = [
         (f"/{arm.name}/joint_states", ns, ros.joints(ns, reversed(getattr(arm, kind)), k + np.arange(7)[::-1]))

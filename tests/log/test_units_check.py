@@ -66,7 +66,9 @@ def test_a_known_model_can_make_nothing_of_degrees_or_of_a_torque_that_is_not_me
     check_known(torn, tau, robot)
     with pytest.raises(ShapeError, match=r"axis_1 \(\S+, limit 2\.941: degrees"):
         check_known(np.rad2deg(torn), tau, robot)
-    with pytest.raises(NotExcited, match=r"got constant values for axis_1 \(constant torque\).*that the robot sends torque"):
+    with pytest.raises(
+        NotExcited, match=r"got constant values for axis_1 \(constant torque\).*that the robot sends torque"
+    ):
         check_known(q, np.zeros_like(tau), robot)
 
 
@@ -83,7 +85,7 @@ def test_rest_glitches_a_dead_joint_and_joints_without_end_are_no_reason_to_refu
 
 
 def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -> None:
-    """Judged by its reach: with motor torques at a gear ratio of 100, a finger could hold the arm up."""
+    """The arm is judged by its reach: by motor torques at a gear ratio of 100, a finger could hold it up."""
     robot = truth.robot
     assert robot.inertias is None
     words = r"motor torques for .*axis_1 \(gear ratio 100\).*reach.*motor_torque_to_joint"

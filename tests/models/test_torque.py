@@ -178,7 +178,7 @@ def test_a_drive_settles_at_thermal_state_one_under_the_reference_power() -> Non
 
 
 def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
-    """At constant velocity, viscous and Coulomb torque follow the warmth, which follows their power."""
+    """At constant velocity, viscous and Coulomb torque follow the thermal state, which follows their power."""
     part = warm_up(7, time=5.0)
     warm = load(save(replace(model, warm_up=part), tmp_path / "model.toml"))
     t = np.arange(0, 40, 0.01)
@@ -201,7 +201,7 @@ WRIST = CoupledMotors(np.array([[0, 0, 0, 0, 0, 0.5, 1.0]]), [0.02], [0.3], [0.4
 
 
 def test_one_motor_of_two_joints() -> None:
-    """Row and column are symmetric: each joint's motion takes the same torque from the other joint."""
+    """The coupling is symmetric: each joint's motion takes the same torque from the other joint."""
     qd, qdd = np.zeros(7), np.zeros(7)
     qdd[5] = 2.0
     np.testing.assert_allclose(WRIST.torque(qd, qdd)[5:], 0.02 * 2.0 * 0.5 * np.array([0.5, 1.0]))

@@ -1,5 +1,4 @@
-"""Motions as controllers: no jumps, correct timing, limits applied last; changes of goal, speed and stops; each
-kind."""
+"""Motion controllers of each kind: no jumps, correct timing, limits applied last, changes of goal and speed, stops."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def test_steps_are_the_rollout(space: Dmp) -> None:
 
 
 def test_a_new_goal_within_the_clearance_is_refused(space: Dmp) -> None:
-    """The obstacle's current position counts: otherwise the motion would never finish. The old goal stays."""
+    """The obstacle's current position counts; the motion to such a goal would never finish. The old goal stays."""
     stepper = AvoidingDmp(space, [Capsule.sphere([0.25, 0.3, 0.1], 0.03)], 0.02, 0.1).stepper()
     free, taken = [0.6, 0.1, 0.1], [0.25, 0.26, 0.1]
     stepper.change_goal(free)

@@ -35,7 +35,7 @@ def readme() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def seed(readme: tuple[np.ndarray, np.ndarray]) -> Dmp:
-    """A primitive fitted as by the ancestor."""
+    """A primitive fitted with the ancestor's settings."""
     return fit_dmp(*readme, **SEED).value
 
 
@@ -105,7 +105,7 @@ def test_the_ancestors_own_test(numbers: dict[str, Any]) -> None:
 
 
 def test_weights_of_the_authors_simulation(numbers: dict[str, Any]) -> None:
-    """They use forward differences and an Euler phase, so only the kernels and the rule are ours."""
+    """The authors use forward differences and an Euler phase, so only the kernels and the rule are ours."""
     wanted = numbers["ifac2017_simulation"]
     y = np.maximum(0.0, -np.sin(2 * np.pi * np.linspace(0, 10, 2500)[:1000] / 2.5))
     y = np.concatenate([y, np.full(50, y[-1])])
@@ -207,7 +207,7 @@ def test_errors_at_250_hz_after_a_blow(p: float, numbers: dict[str, Any]) -> Non
 
 
 def test_errors_of_the_loop_at_250_hz(numbers: dict[str, Any]) -> None:
-    """The robot integrates the last commanded acceleration; it is held from 2.5 to 4 s."""
+    """The robot integrates the last commanded acceleration; the arm is held from 2.5 to 4 s."""
     data = numbers
     alone = TwoDofDmp(readme_dmp(data, (0,)))
     exact = alone.simulate(H * np.arange(2501), [Hold(2.5, 4)], dt=H / 16)

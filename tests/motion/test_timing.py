@@ -145,7 +145,7 @@ def test_steps_are_the_rollout_and_far_goals_take_longer() -> None:
 
 
 def test_the_controller_is_not_limited_at_250_hz() -> None:
-    """Planned within 0.95 of the limits, no reference is clamped; the same motion as demonstrated is."""
+    """A motion planned within 0.95 of the limits is never clamped; the same motion as demonstrated is."""
     robot = robots.load("yumi_right")
     q = robot.q_home + S[:, None] * np.array([1.1, 0.1, 0.2, 0.2, -0.3, 0.4, 0.2])
     dmp = fit_dmp(0.5 * U, q, n_basis=20, scaling="none").value

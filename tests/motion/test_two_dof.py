@@ -60,7 +60,7 @@ def test_it_is_of_fourth_order(schedule: str) -> None:
 
 
 def test_a_hold_creeps_and_a_freeze_does_not() -> None:
-    """During a hold, the free path creeps away ever more slowly; a frozen path stops, and resumes on release."""
+    """During a hold, an unfrozen path creeps away ever more slowly; a frozen path stops, and resumes on release."""
     dmp, t = smooth(force=0.0), np.array([0.0, 0.5, 1.0, 5.0, 30.0])
     creeping = TwoDofDmp(dmp).simulate(t, [Hold(0.5, 30)])
     still = TwoDofDmp(dmp, e_max=0.02).simulate(t, [Hold(0.5, 30)])

@@ -69,7 +69,7 @@ def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: di
 
 
 def of_orientation(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
-    """Return the results of a run, or of each step if goal, map and time constant change before the fourth."""
+    """Return the results of a run, or of each step when goal, map and time constant change before the fourth step."""
     call, kind, output = name.split()
     primitive, k = primitive_of(module, kind, fixed), ("q", "w", "wd").index(output)
     begin = given["q0"], given["w0"], given["goals"][0], given["turns"][0]

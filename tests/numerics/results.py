@@ -206,7 +206,7 @@ def drawn(key: str, name: str, like: np.ndarray, rng: np.random.Generator) -> np
 
 
 def many() -> dict[str, dict[str, Any]]:
-    """Return the tables with random samples instead of their own, if a kernel takes samples; without exact results."""
+    """Return the tables of kernels that take samples, with random samples and without exact results."""
     rng, found = np.random.default_rng(3), {}
     for key, table in tables().items():
         count = len(table["wanted"])

@@ -30,7 +30,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., dict[str, np.ndarray]]:
-    """Return the results of a separate program, by name."""
+    """Return a function that runs `results.py` in a separate process and returns its results by name."""
     folder, known = tmp_path_factory.mktemp("results"), {}
 
     def results(processor: str | None = None, **environment: str) -> dict[str, np.ndarray]:

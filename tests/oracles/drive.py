@@ -8,11 +8,12 @@ With s = z, or s = tanh(qd / smooth_speed) where smooth_speed > 0, joint by join
     tau = rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
           + load dry_share s |x|
 
-x is the torque transmitted to the links, which a forward model knows; an estimator has y = x + load dry_share s |x|,
-the motor torque less the other terms, so that ``x = y / (1 + load dry_share s sign(y))``.
+x is the torque transmitted to the links, known in a forward model; an estimator has y = x + load dry_share s |x|, the
+motor torque less the other terms, so that ``x = y / (1 + load dry_share s sign(y))``.
 
 dry_share is 1, less for an estimator that treats dry friction near rest as bounded instead of known. The warmth x
-follows from its own heat: ``dx/dt = (|rubbing qd| / reference - x) / time``, exact for constant power in a step.
+follows from the joint's own friction heat: ``dx/dt = (|rubbing qd| / reference - x) / time``, exact for constant
+power in a step.
 
 With normalised Gaussians psi (`basis_weights`), the map has coefficients over position and speed for both directions,
 ``(1 + s)/2 psi(q)^T k_pos psi(|qd|) + (1 - s)/2 psi(q)^T k_neg psi(|qd|)``; a line of ripple has amplitudes over speed,

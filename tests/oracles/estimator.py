@@ -198,7 +198,7 @@ class WrenchEstimator(Stepwise):
         return self._solve(q, torque, variance, np.zeros(n))
 
     def _lowpass(self, x: np.ndarray, dt: float, begins: np.ndarray) -> np.ndarray:
-        self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state
+        self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state: no initial transient
         g = np.tan(np.pi * min(self._cutoff * dt, 0.45))
         a = 1.0 / (1.0 + g * (g + np.sqrt(2.0)))
         error = x - self._low[1]

@@ -18,8 +18,8 @@ is unknown at the beginning). A step longer than GAP_STEPS first steps is a gap:
 so momentum and friction are reset after it. Unknown gains add to the covariance as in `estimator.py`.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
-then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered). Of
-a wrench present at the start, it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
+then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered).
+For a wrench present at the start, r is only the share ``1 - e^(-K t)`` of J^T F.
 
 Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; the measurement is p = M qd
 with velocity noise, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the variance
@@ -28,8 +28,7 @@ wrench's own torque from gains and load friction; and unknown friction after a r
 `estimator.py`. The last two persist and must not be averaged away: noise of intensity ``v^2 / (J^T rate J)_ii`` leaves
 the wrench the doubt v. That is its intensity, or ``2 s^2 memory + (v - s^2) LONGEST`` where this is less. When biased,
 friction is a state b instead, which enters with -1: its variance rises at rest as p does, up to static^2, and
-it decays with displacement like the presliding state, ``db = -b |dq| / delta``; at rest it stays, but
-for a CREEP.
+it decays with displacement like the presliding state, ``db = -b |dq| / delta``; at rest it stays, except for CREEP.
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ def momentum_step(
     return x + K @ (y - x[:n]), 0.5 * (P + P.T)
 
 
-CREEP = 1e-3  # 1/s of its variance, by which friction drifts at rest
+CREEP = 1e-3  # 1/s, growth of the variance of friction at rest, as a share of its prior
 LONGEST = 20.0  # s, memory of friction at rest for a joint that no contact turns
 AT_REST = 0.5  # variance of the presliding state above which a joint rests
 STILL = 1.0  # presliding distances that a joint may move before a tare is void
@@ -245,7 +244,7 @@ class MomentumEstimator(Stepwise):
         return x, P, G @ self._x[n:], variance
 
     def _restart(self, R: np.ndarray, rate: np.ndarray, leak: np.ndarray, dt: float, friction: np.ndarray) -> None:
-        """Let the wrench drift for a time dt; momentum is known as measured, friction as in its prior."""
+        """Let the wrench drift for a time dt; reset the momentum to its measurement and friction to its prior."""
         n, z = self._chain.n, slice(self._chain.n, self._chain.n + self._k)
         decay, _, wandered, _, _ = leak_integrals(leak, dt)
         wrench = np.outer(decay, decay) * self._P[z, z] + np.diag(rate * wandered)

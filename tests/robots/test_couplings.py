@@ -91,7 +91,7 @@ def test_the_parallel_rod_of_the_irb2400() -> None:
 
 
 def test_what_is_missing_of_one_motor_is_not_missing_of_all_joints(yumi: Robot, wrist: Robot) -> None:
-    """A plain matrix product would spread NaN through zeros: one broken column of a log would lose all joints."""
+    """A plain matrix product would spread NaN through zeros: one bad column of a log would invalidate all joints."""
     broken = np.array([np.nan, 2.0, 3, 4, 5, 6, 7])
     for convert in (
         couplings.motor_to_joint,

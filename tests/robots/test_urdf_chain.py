@@ -192,7 +192,7 @@ def test_every_chain_of_a_random_tree(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_dropped_branches_are_warned_of_with_their_mass_and_kept_when_locked(seed: int) -> None:
-    """All moving masses are in the arm, in the warning, or rigidly attached to its base."""
+    """All masses that the arm's moving links carry are in the arm or in the warning."""
     rng = np.random.default_rng(seed)
     text, bodies = random_tree(rng)
     tree, q = urdf.parse(text), float(rng.uniform(-1, 1))

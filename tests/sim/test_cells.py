@@ -1,4 +1,4 @@
-"""The cell with known ground truth: what it draws, in which order, and that the fits recover the truth."""
+"""The cell with known ground truth: its random draws and their order, and fits that recover the truth."""
 
 from __future__ import annotations
 

@@ -207,7 +207,7 @@ def test_a_fast_reference_that_leaves_the_range_brakes_at_once() -> None:
 
 
 def test_an_arm_driven_beyond_all_numbers_is_dead() -> None:
-    """An operator enters millions instead of newtons; the alternative would be packets with NaN."""
+    """An operator enters millions of newtons by mistake: the controller stops instead of sending NaN."""
     peer = Task(AppliedWrench(np.array([0.0, 9.0]), np.full((2, 6), 1e9)), masses=True)
     with np.errstate(all="ignore"):
         for _ in range(300):
@@ -409,8 +409,8 @@ def research(packet: Packet, tau: np.ndarray, scale: float) -> bytes:
 
 
 def test_torques_move_an_arm_whose_gains_are_zero() -> None:
-    """Torque mode: the exact gravity holds the arm, two newton metres more move joint 1, and restoring the gains causes
-    no jerk."""
+    """Torque mode: exact gravity compensation holds the arm, an extra 6 N m moves joint 1, and restoring the gains
+    causes no jerk."""
     task = Task(masses=True)
     task.run(5, task.position(ROBOT.q_home))
     sample = task.controller.arm.sample

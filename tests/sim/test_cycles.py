@@ -300,7 +300,7 @@ class Wire:
 
 
 def sway(state: State) -> Command:
-    """Commands velocities, so that lost time causes no jump; far from the limits, because the last speed continues."""
+    """Command velocities, so that lost time causes no jump; stay far from the limits, as the last speed continues."""
     goal = MIDDLE + 0.2 * np.sin(2.0 * state.t) ** 2
     return Command(qd=0.4 * np.sin(4.0 * state.t) + 0.5 * (goal - state.q))
 
@@ -362,8 +362,8 @@ def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, 
 def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
     """Faults in 1, 10 and 50 % of the datagrams in both directions; the more faults, the shorter the run.
 
-    When half of all replies is lost ten at a time, the arm continues at its last speed for up to a second, as the
-    allowed following error shows.
+    When half of all replies are lost, ten at a time, the arm continues at its last speed for up to a second, so a
+    larger following error is allowed.
     """
     for share, of_share in SECONDS.items():
         seconds = 60.0 if fault == "pause" else of_share

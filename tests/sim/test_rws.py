@@ -90,7 +90,8 @@ def test_rwswrap(tmp_path: Path) -> None:
 
 
 def test_packets_follow_rapid() -> None:
-    """No packets before RAPID runs; guidance while it runs; then packets report it stopped, until main runs again."""
+    """No packets before RAPID runs; guidance while it runs; packets without guidance after it stops, until the program
+    pointer is set to main."""
     robot = robots.load("yumi_left")
     box = VirtualController(["yumi_left"], [("127.0.0.1", 6511)], "6.10")
     arm = LaggingArm(robot)

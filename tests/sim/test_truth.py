@@ -158,7 +158,7 @@ REPORTED = {
 
 
 def sway(arm: SimulatedArm, seconds: float = 0.5) -> np.ndarray:
-    """A short sway (4, K, n): the exact torque that it needs, then the reported q, qd and tau."""
+    """Return data of a short sway (4, K, n): the exact torque, then the reported q, qd and tau."""
     rows = []
     for k in range(1, round(seconds / T)):
         w = 2 * np.pi * 0.5

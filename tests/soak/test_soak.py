@@ -50,8 +50,8 @@ def late(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_memory_that_leaks_16_bytes_per_tick_is_found_and_what_scatters_is_not(seed: int) -> None:
-    """The bound is 2 MiB in the second half: 9 bytes per tick in half an hour. A slope over the whole run would
-    fail."""
+    """The bound is 2 MiB in the second half: 9 bytes per tick in half an hour. The test fails if the slope is
+    taken over the whole run."""
     held = scattered(seed)
     assert verdict.memory("", T, held).is_met
     assert not verdict.memory("", T, held + 16.0 * TICKS).is_met
@@ -239,7 +239,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, object]]:
-    """Run a part. Return those findings, by subject, that a short run can judge."""
+    """Run a part of the soak test and return its findings by subject."""
     words = [sys.executable, str(ROOT / "soak" / "run.py"), part, "--seconds", str(seconds), "--folder", str(folder)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=500.0, check=False)
     assert (folder / "result.json").exists(), ended.stdout + ended.stderr
@@ -252,7 +252,7 @@ def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, objec
 
 
 def failed(judged: dict[str, dict[str, object]]) -> list[str]:
-    """Return the findings beyond their bounds, except those that need more than seconds on a busy machine."""
+    """Return the findings beyond their bounds, except those that a short run cannot judge."""
     short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets skipped", "last sample")
     return [what for what, one in judged.items() if not one["is_met"] and not any(word in what for word in short)]
 
@@ -313,7 +313,7 @@ def ports() -> dict[str, int]:
 
 @pytest.fixture(scope="module")
 def bridge(ports: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
-    """A bridge with a simulated arm and a server of each tested kind; only this test uses its local socket."""
+    """A bridge with a simulated arm and a server of each tested kind; only these tests use its local socket."""
     folder = tmp_path_factory.mktemp("clients")
     text = '[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left?lagging=true"\n'
     text += f"[servers.labcomm]\nports = {{ yumi_left = 0 }}\nparameters = 0\nrows = {ports['labcomm']}\n"
@@ -370,7 +370,7 @@ def zenoh(port: int) -> None:
 def test_clients_that_come_and_go_leave_nothing_behind(
     bridge: Program, ports: dict[str, int], visit: Callable[[int], None], count: int
 ) -> None:
-    """Three batches of clients: neither the second nor the third costs the server more than one block of memory.
+    """Three batches of clients: the second and third together cost the server at most 1 MiB.
 
     Takes 2 to 20 s each.
     """
@@ -396,7 +396,7 @@ def settled(root: int, name: str, before: list[tuple[int, int, int]]) -> tuple[i
     looks = [look()]
 
     def is_still() -> bool:
-        """Return whether twenty checks saw no change; later batches also wait until they cost what the first did."""
+        """Return whether twenty checks show no change; later batches also wait until they cost what the first did."""
         looks.append(look())
         return len({one[1:] for one in looks[-20:]}) == 1 and len(looks) >= 20
 

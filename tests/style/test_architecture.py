@@ -76,7 +76,7 @@ def imported(node: ast.AST) -> list[str]:
 
 
 def each_file(paths: list[Path]) -> Callable[[Callable[[Path], None]], Callable[[], None]]:
-    """Make one test of a rule for all files that names violations; five thousand tests would cost ten times as much."""
+    """Make one test that applies a rule to all files and names violations: 5000 tests would take ten times as long."""
 
     def decorate(rule: Callable[[Path], None]) -> Callable[[], None]:
         def test() -> None:

@@ -230,7 +230,7 @@ def test_picture_has_a_row_per_table(harness: dict[str, ModuleType], tmp_path: P
 
 
 def test_a_bar_of_nothing_at_all_has_no_place_in_the_picture(harness: dict[str, ModuleType]) -> None:
-    """A limit of zero missing rows has no ratio."""
+    """The ratio to a target of zero, such as no missing rows, is undefined."""
     one = harness["blocks"].Figure("local", "armlab", "", 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
     assert one.is_met
     assert harness["picture"]._over_bar(one) is None

@@ -1,4 +1,4 @@
-"""The documentation builds without warnings, and its pages load nothing from outside."""
+"""The documentation builds without warnings, and its pages load nothing from other hosts."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def named(source: str) -> set[str]:
 
 
 def imports(node: ast.AST, answers: str = "") -> Iterator[tuple[str, int, str]]:
-    """Yield module, line and source of the enclosing `try` handlers for imports that are executed."""
+    """Yield the module, the line and the source of the enclosing `try` handlers of each import that is executed."""
     if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
         return
     names: list[str] = []

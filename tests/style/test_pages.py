@@ -19,7 +19,7 @@ NAMED = re.compile(r"`([\w/]+\.py)::([\w:]+)`")
 
 
 def table(page: Path | str, head: str) -> list[list[str]]:
-    """Return the cells of all tables of a page, without rulers and header rows (which start with `head`)."""
+    """Return the cells of all tables of a page, without separator rows and header rows (which start with `head`)."""
     text = page if isinstance(page, str) else page.read_text(encoding="utf-8")
     lines = (line for line in text.splitlines() if line.startswith("|") and not line.startswith(("|---", f"| {head}")))
     return [[cell.strip("| ") for cell in line.strip("|").split(" | ")] for line in lines]

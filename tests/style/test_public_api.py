@@ -1,6 +1,6 @@
 """Every public name and its signature is listed, so that a change is noticed before it reaches users.
 
-`make api` rewrites the list; the change belongs in CHANGELOG.md.
+`make api` rewrites the list; describe the change in CHANGELOG.md.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def test_public_names_and_signatures_are_those_of_the_list() -> None:
     change = difflib.unified_diff(listed.splitlines(), there.splitlines(), "listed", "there is now", n=0, lineterm="")
     if listed != there:
         pytest.fail(
-            "The public names changed. If this is intended: `make api`, and a line in CHANGELOG.md.\n"
+            "The public names changed. If this is intended, run `make api` and add a line to CHANGELOG.md.\n"
             + "\n".join(change),
             pytrace=False,
         )

@@ -128,7 +128,7 @@ def test_installed_wheel_runs_the_compiled_core(wheel: Path, programs: Path) -> 
 
 
 def test_the_demo_runs_from_the_wheel_without_a_compiler(wheel: Path, programs: Path, tmp_path: Path) -> None:
-    """Also on old Linux versions: the wheel links glibc of 2012, and not the C++ library."""
+    """Also on old Linux versions: the wheel links against glibc of 2012, and not against the C++ library."""
     assert "manylinux_2_17" in wheel.name
     run(programs, "armlab", "demo", "--fast", "-o", str(tmp_path / "demo"), PATH=str(programs))
     assert (tmp_path / "demo" / "summary.json").is_file()
@@ -136,7 +136,7 @@ def test_the_demo_runs_from_the_wheel_without_a_compiler(wheel: Path, programs: 
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Path:
-    """A folder of programs without a compiler; pip provides a build tool."""
+    """A folder of programs without a compiler, but with a build tool, such as pip provides."""
     folder = tmp_path / "bare"
     folder.mkdir()
     tool = shutil.which("ninja") or shutil.which("make")

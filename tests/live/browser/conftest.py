@@ -30,7 +30,10 @@ class Page:
 
     Attributes
     ----------
-    errors : errors on its console. requests : addresses requested by it or its workers.
+    errors : list of str
+        Errors on its console.
+    requests : list of str
+        Addresses requested by it or its workers.
     """
 
     def __init__(self, socket: Any) -> None:
@@ -102,7 +105,7 @@ class Page:
         }})({button})"""
         last, until = None, time.monotonic() + PATIENCE
         while (place := self.value(script)) != last or not place[2]:
-            assert time.monotonic() < until, f"the button {label!r} does not stop moving: {place}"
+            assert time.monotonic() < until, f"the button {label!r} still moves or is covered: {place}"
             last = place
             time.sleep(0.1)
         for kind in ("mousePressed", "mouseReleased"):

@@ -234,7 +234,7 @@ def test_lengths_of_2014old_are_not_believed() -> None:
     assert decoder.dialect == "2014old"
 
 
-SLOWEST = 5.0  # s of processor time per stream: a slow machine takes 0.6, a stream inflated by one number minutes
+SLOWEST = 5.0  # s of processor time per stream: 0.6 on a slow machine, minutes if a number in the stream inflates it
 LARGEST = 16 * 2**20  # bytes
 
 
