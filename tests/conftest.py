@@ -44,7 +44,7 @@ LOOPS = {"bridge", "cli", "examples", "faults", "sim"}  # their loops collect ga
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Iterator[object]:
-    """Collect tests with the garbage collector off, and exempt the collected objects from later collections.
+    """Collect tests with the garbage collector off, and exclude their objects from later garbage collections.
 
     In a new clone, where tests are compiled on import, each of several processes starts with its own share.
     """
@@ -178,7 +178,7 @@ class ShortArm:
     def experiment(
         self, rho: float = 0.0, slow: bool = False, gain_sd: float = 0.0
     ) -> Callable[[int, int], Experiment]:
-        """Return a generator for `check_estimator`: logs with torque gains, and the true base parameters."""
+        """Return an experiment factory for `check_estimator`: logs with torque gains, and the true base parameters."""
         truth = base_parameters(self.robot, quasi_static=slow).B @ np.concatenate([LINKS.ravel(), ROTOR])
 
         def draw(seed: int, n: int) -> Experiment:
@@ -317,7 +317,7 @@ def full_disk() -> Callable[[], AbstractContextManager[None]]:
 
 @pytest.fixture
 def ur5e_bag(tmp_path: Path) -> Path:
-    """A bag from another program: a UR5e with joint i at i + k rad in row k, in reverse order, and numbers."""
+    """A bag from another program: a UR5e with joint i at i + k rad in row k, in reverse order, and a number topic."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

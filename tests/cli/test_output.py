@@ -37,7 +37,7 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
 
 
 def test_a_warning_is_written_once() -> None:
-    """Python's last-resort handler would repeat it; seen only in a separate process, without pytest's handlers."""
+    """Python's last-resort handler would repeat the warning; seen only in a process without pytest's handlers."""
     program = (
         "import logging; from armlab.cli.support.output import Narrator; narrator = Narrator()\n"
         "logging.getLogger('armlab.bridge').warning('Twice.'); narrator.event('Twice.', warn=True)"

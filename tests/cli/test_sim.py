@@ -195,7 +195,7 @@ def test_invalid_files_of_an_operator_and_a_hand_are_named_with_the_line(tmp_pat
     np.testing.assert_allclose([q, qd], [[2.0, 1.0], [2.0, 0.0]])
 
 
-USELESS = {  # options that require masses, by verb
+USELESS = {  # commands that need an arm with masses: options by verb
     "sim": ["--operator", "operator.csv"],
     "sim ": ["--grip", "1,2"],
     "sim  ": ["--mismatch.payload", "0.5"],

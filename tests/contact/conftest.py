@@ -1,4 +1,4 @@
-"""A model without model error, so that only the estimator is tested."""
+"""A model without errors, so that only the estimator is tested."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def perfect(truth, model) -> TorqueModel:
 
 @pytest.fixture(scope="session")
 def resting(truth) -> Callable[..., Table]:
-    """Logs of the arm at rest at home: friction within its limits, and a force from a share of the time on."""
+    """Logs of the arm at rest at home: friction within its limits, and a force after the share `begins` of the time."""
 
     def log(force: np.ndarray, seconds: float = 3.0, seed: int = 0, begins: float = 0.5) -> Table:
         robot, rng = truth.robot, np.random.default_rng(seed)

@@ -21,7 +21,7 @@ from armlab.models.uncertainty import FORCE_RATES, PRIOR
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
-ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # seven collinear axes: one direction is seen
+ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # seven collinear axes: one visible direction
 WAYS: dict[str, dict[str, Any]] = {
     **{
         name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "ols", "observer", "kf")
@@ -165,7 +165,7 @@ def test_two_threads_by_turns_are_refused_until_a_reset(truth, model, excited) -
         for _ in range(2):
             with pytest.raises(ConcurrentUse, match="got samples from two alternating threads"):
                 estimator.step(states[2])
-        with pytest.raises(ConcurrentUse, match="alternating"):  # also from the other: the state is mixed
+        with pytest.raises(ConcurrentUse, match="alternating"):  # also from the other thread: the state is mixed
             other.submit(estimator.step, states[2]).result()
         estimator.reset()
         estimator.step(states[0])
@@ -373,7 +373,7 @@ def pushed(truth) -> tuple[Table, np.ndarray]:
 
 
 def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, pushed, way) -> None:
-    """Targets: 1 N RMS during and between pushes; coverage 90 to 97 % away from edges, 88 % with them."""
+    """Targets: 1 N RMS during and between pushes; coverage 90 to 97 % away from edges, above 88 % overall."""
     log, force = pushed
     table = Estimator(model, truth.robot, **way).run(log)
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))[:, :3]
@@ -390,7 +390,7 @@ def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, pushed, wa
 
 
 def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, way) -> None:
-    """Five rows without torque, and the log without these rows, give the same estimate; so do `step` and `run`."""
+    """Rows without torque and a log without these rows give the same estimate; so do `step` and `run`."""
     log = excited.between(0.0, 2.0)
     missing = (np.arange(len(log)) % 100 >= 60) & (np.arange(len(log)) % 100 < 64)
     holed = log.with_column("tau", np.where(missing[:, None], np.nan, log["tau"]))

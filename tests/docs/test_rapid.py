@@ -1,4 +1,4 @@
-"""The RAPID modules and the controller configuration shipped with armlab, as far as checkable without a robot.
+"""The RAPID modules and the controller configuration shipped with armlab, as far as testable without a robot.
 
 No RAPID compiler is available; the tests check that blocks balance, statements end, names are declared, and each
 argument is one that ABB's manual 3HAC073318-001 lists for its instruction.

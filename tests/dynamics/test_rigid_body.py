@@ -275,7 +275,7 @@ def test_arguments() -> None:
 
 
 def test_links_without_mass_have_no_accelerations() -> None:
-    """A point mass on the last axis; the message names the sample. A NaN is none."""
+    """A point mass on the last axis: the error names the sample; a NaN gives NaN and no error."""
     robot = random_robot(13, 3)
     bare = replace(robot, inertias=robot.inertias * [[1], [1], [0]], prismatic=[False] * 3)
     q = np.zeros((2, 3))

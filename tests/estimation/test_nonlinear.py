@@ -49,8 +49,7 @@ KOWALIK = (
      [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2], 6.6279236551e-3),
 ], ids=["Misra1a, far", "MGH09"])  # fmt: skip
 def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> None:
-    """NIST Statistical Reference Datasets, nonlinear regression: parameters, their standard deviations, and that of the
-    residual."""
+    """NIST Statistical Reference Datasets, nonlinear regression: parameters, their SD, and the residual SD."""
     x, y = (np.array(part, dtype=float) for part in data)
     found = nonlinear_least_squares(curve(x, y, model), np.array(start, dtype=float))
     np.testing.assert_allclose(found.value, certified, rtol=1e-7)
@@ -268,8 +267,7 @@ def test_weighted_is_plain_where_weights_are_equal() -> None:
 
 
 def test_no_bias_and_honest_covariance() -> None:
-    """Errors of a tenth of the signal: least squares is off by many standard deviations, this fit is not. NEES/3 is
-    1."""
+    """With errors of a tenth of the signal, least squares is off by many SD, this fit is not. NEES/3 is 1."""
     found = [total_least_squares(*rows(seed), exact=[2]) for seed in range(100)]
     e = np.array([one.x - TRUTH for one in found])
     mean = np.linalg.inv(found[0].cov)

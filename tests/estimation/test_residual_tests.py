@@ -68,7 +68,7 @@ def covered(case: Callable[[int, int, float], Case], runs: int, N: int, phi: flo
 
 @pytest.mark.parametrize("case", [hand_eye, force])
 def test_slow_noise_does_not_narrow_the_covariance(case) -> None:
-    """With AR(1) noise of 0.9, covariances that assume white noise cover 1 %."""
+    """With AR(1) noise of coefficient 0.9, covariances that assume white noise cover 1 %."""
     assert covered(case, 15, 40, 0.9) > 0.8
     fit, _ = case(0, 40, 0.9)
     assert not fit.good

@@ -1,7 +1,7 @@
 """A bridge and simulated controllers in one thread and in virtual time, with a bad network between them.
 
 The bridge runs as on a real robot: real-time clock, time-outs, guard, recorder. Only `time` is replaced, and the guard
-is called when its thread would wake. A minute therefore passes in a second, and all runs are identical. `judge` checks
+is called when its thread would wake. A minute therefore passes in a second, and every run is repeatable. `judge` checks
 what must hold in every run. Below: real processes in real time, and checks of their logs.
 """
 
@@ -362,7 +362,7 @@ class Motion:
 
     @classmethod
     def that_stops(cls, at: float) -> Motion:
-        """Move fast, and stop half a cycle before a time; the arm needs eight more cycles to come to rest."""
+        """Return a fast motion that stops half a cycle before a time; the arm needs eight more cycles to rest."""
         return cls(stops=at - 0.002, amplitude=0.18, rate=6.0)
 
     def begin_anew(self) -> None:

@@ -271,7 +271,7 @@ def test_a_clock_that_is_set(bench: Bench, make_bench: Callable[[], Bench], cell
 
 @shows
 def test_a_bridge_that_stands_still(bench: Bench, cell: Cell) -> None:
-    """As after SIGSTOP, a suspended computer, or memory swapped to disk."""
+    """As after SIGSTOP, after a suspension of the computer, or while memory is swapped in from disk."""
     bench.at[BEGINS[cell.state]] = lambda: bench.pass_time(cell.given, guarded=False)
     outcome = bench.run(motion_until(cell), seconds=1.0)
     assert outcome.failure is None

@@ -28,7 +28,7 @@ BAD = partial(Path.read_bytes, Path("/nowhere/at/all"))
 
 
 class Shuffled(Executor):
-    """Completes jobs in a different order than submitted, four at a time."""
+    """Completes submitted jobs in random order, four at a time."""
 
     _max_workers = 2
 

@@ -133,7 +133,7 @@ def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: 
         assert fleet.robots[f"lab1/{name}"].lost == 0
         ticks = check_ticks(tmp_path / f"lab1-{name}.mcap")
         assert ticks[-1] == count - 1  # up to the very last row
-        assert ticks[0] < 2 * PAST  # from about when the recorder found it
+        assert ticks[0] < 2 * PAST  # from about when the recorder found the robot
         q = log.read(tmp_path / f"lab1-{name}.mcap")["q"]
         np.testing.assert_allclose(q[-1] - q[0], 1e-6 * (ticks[-1] - ticks[0]), rtol=0.0, atol=1e-12)
 

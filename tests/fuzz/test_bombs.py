@@ -1,5 +1,4 @@
-"""Small files that claim to be huge are refused within seconds, before memory is allocated for them; measured in a
-process."""
+"""Small files that claim to be huge are refused within seconds, before memory is allocated; measured in a process."""
 
 from __future__ import annotations
 

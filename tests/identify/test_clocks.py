@@ -78,8 +78,7 @@ def test_an_even_clock_stays_as_it_is(excited) -> None:
 
 
 def test_rows_that_were_sampled_unevenly_keep_their_stamps() -> None:
-    """Positions that follow the timestamps: the rows were sampled late. Evenly sampled positions follow the even
-    clock."""
+    """Positions that follow uneven timestamps were sampled unevenly; evenly sampled ones get the even clock."""
     even = np.arange(1000) * 0.01
     stamps = even + 0.002 * np.random.default_rng(0).uniform(-1, 1, 1000)
     for sampled in (stamps, even):
@@ -142,8 +141,7 @@ def test_a_late_velocity_is_named_and_taken_back(truth, excited) -> None:
 
 
 def test_delays_of_many_logs_lie_within_their_deviations(short_arm) -> None:
-    """Twenty logs on time: no delay is reported. Twenty that are 50 ms late: all are reported, 95 % within two SD of
-    the truth."""
+    """Twenty logs on time: no delay is reported. Twenty 50 ms late: all are reported, at least 18 within two SD."""
     logs = [short_arm.log(seed, 3000) for seed in range(20)]
     assert not any(prepare(table, short_arm.robot).delays for table in logs)
     found = [prepare(late(table, 0.05), short_arm.robot).delays["tau"] for table in logs]
@@ -229,7 +227,7 @@ def test_half_a_torque_is_doubted_by_joint(massive, excited, joint: int) -> None
 @pytest.mark.slow  # 5 s
 @pytest.mark.parametrize(("factor", "words"), [(0.5, "joint 4 reads half"), (0.08, "joint 4 reads 0.08"), (0.9, "")])
 def test_joints_without_masses_are_compared_with_each_other(truth, excited, factor: float, words: str) -> None:
-    """The joints carry the same links; a gain far from its prior is fitted again without it."""
+    """The joints carry the same links; a gain far from its prior is fitted again without the prior."""
     data = prepare(scaled(excited, j4=factor), truth.robot)
     design = calibrated(Design.build(data, truth.robot, base_parameters(truth.robot)), "irls")[0]
     found = check_gains(design, "irls", force=True)
@@ -251,7 +249,7 @@ def test_a_forced_fit_carries_its_doubts(short_arm) -> None:
 
 
 def test_presliding_is_judged_without_the_torque_covariance_of_the_model(truth, excited, model) -> None:
-    """A large residual, such as friction over position, does not change where joints are found to slide."""
+    """A large residual, such as from friction over position, does not change where joints are found to slide."""
     data, rows = prepare(excited, truth.robot), np.ones(len(excited), dtype=bool)
     wide = replace(model, covariance=replace(model.covariance, alpha2=1e6 * model.covariance.alpha2))
     smooth = replace(model, friction=replace(model.friction, **dict.fromkeys(
@@ -286,7 +284,7 @@ def of_rest(fit: Fit[TorqueModel], joint: int) -> tuple[np.ndarray, ...]:
 
 
 def test_joints_that_rest_are_held_by_the_prior_and_named(short_arm, short_fit) -> None:
-    """Friction, quality figures and ranges of joint 2 come from the prior; its parameters keep their places."""
+    """Friction, quality figures and ranges of joint 2 come from the prior; the fit lists its parameters from there."""
     table = short_arm.log(5, 2000, still={1: 0.3})
     fit = fit_dynamics(table, short_arm.robot, prior=short_fit)
     assert "at rest, with friction from the prior: joint 2" in fit.report()

@@ -250,7 +250,7 @@ def test_noise_has_no_lines() -> None:
 
 
 def test_lines_that_pass_too_fast_are_refused() -> None:
-    """A quarter of the sampling rate is 62.5 Hz; at four times the speed, half of the samples exceed it."""
+    """At 5 rad/s, a line of 100 cycles/rev is at 80 Hz, above 62.5 Hz, a quarter of the sampling rate."""
     q = motion_of_ripple()[1]
     y = 0.2 * np.cos(100.0 * q)
     fast = np.full(len(q), 5.0)
@@ -368,7 +368,7 @@ def cold(model: TorqueModel) -> TorqueModel:
 
 @pytest.mark.slow  # 20 s
 def test_a_warm_up_of_40_minutes_is_found(cold: TorqueModel) -> None:
-    """Viscous friction falls by 0.4 over 12 min: time within 25 %, held-out error below half of that without."""
+    """Viscous friction falls by 0.4 with a time constant of 12 min, found to 25 %; the held-out error is halved."""
     warm, still = np.zeros(7), np.ones(7)
     of_viscous, time = warm.copy(), warm.copy()
     of_viscous[:2], time[:2] = -0.4, 720.0

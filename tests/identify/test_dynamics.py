@@ -43,7 +43,8 @@ def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> Non
 def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm, fit, slow, runs, limits) -> None:
     """The statistical contract on a short arm whose friction structure is unknown; the covariance includes this.
 
-    A common gain is not identifiable from a log of any length: errors halve without one, and are judged with one.
+    A common gain is not identifiable from a log of any length: errors halve without gain errors; with them, the
+    covariance is judged.
     """
     for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):
         found = check_estimator(
@@ -60,8 +61,7 @@ def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_ar
 
 @pytest.mark.slow  # 15 s beside other work
 def test_the_covariance_holds_for_coloured_residuals_and_the_formal_one_does_not(short_arm) -> None:
-    """AR(1) noise with a correlation time of 0.2 s: NEES from 0.7 to 1.4, but above 3 if residuals are assumed
-    white."""
+    """AR(1) noise with a correlation time of 0.2 s: NEES from 0.7 to 1.4, but above 3 with the formal covariance."""
     truth, found = short_arm.experiment()(0, 3000).truth, []
     for k in range(24):
         fit = fit_dynamics(short_arm.log(k, 3000, rho=0.95), short_arm.robot)
@@ -168,7 +168,7 @@ SKIPPED = {
 @pytest.mark.slow  # 5 s
 @pytest.mark.parametrize("fit", [fit_dynamics, fit_gravity])
 def test_the_laws_of_the_statistical_contract(fit, short_arm) -> None:
-    """Bit-equal files, unchanged inputs, read-only outputs, repeatable bits, and NaN refused with its row."""
+    """Bit-identical files and repeats, unchanged inputs, read-only outputs, and NaN refused with its row."""
     robot, experiment = short_arm.robot, short_arm.experiment(slow=fit is fit_gravity)
     log = experiment(0, 3000).data["table"]
     locked = np.arange(2) == 1
@@ -290,8 +290,8 @@ def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None
 
 
 def test_gravity_of_other_poses_is_predicted(truth, gravity) -> None:
-    """Measured gravity torque to 4 % of its standard deviation over random poses in the range of the log, 3 % if all
-    gains were known; offsets except for friction asymmetry."""
+    """Gravity torque as measured is predicted to 4 % of its standard deviation over random poses in the range of the
+    log (3 % if all gains were known), and offsets up to friction asymmetry."""
     model, robot = gravity.value, truth.robot
     rng = np.random.default_rng(0)
     q = rng.uniform(model.training.q_min, model.training.q_max, (500, 7))
@@ -331,7 +331,7 @@ def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
 
 
 def test_sums_are_known_by_all_that_they_depend_on(short_arm) -> None:
-    """The sums of a log are cached under this hash; if it did not change, those of another pattern would be used."""
+    """The sums of a log are cached by the pattern's hash; without a new hash, another pattern's would be used."""
     _, pattern = fit_draft([short_arm.log(0, 1500)], short_arm.robot, 1)
     assert pickle.loads(pickle.dumps(pattern)).sha256 == pattern.sha256
     others = [

@@ -276,7 +276,7 @@ def test_what_is_not_known_by_name_is_left_out_and_said(truth, fitted) -> None:
 
 
 def test_what_gains_have_in_common_is_no_error_of_the_torque_that_is_read(fitted, truth) -> None:
-    """With the gains, the SD of the arm's weight is 2 % of it; the torque that the model predicts is known better."""
+    """With gain errors, the SD of the arm's weight is 2 % of it; the torque that the model predicts is known better."""
     model, p = fitted.value, len(fitted.value.base_names)
     error = ModelError.of(fitted, truth.robot)
     index = [error.names.index(name) for name in model.base_names]

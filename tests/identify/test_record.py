@@ -55,7 +55,7 @@ def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> N
 
 
 def test_a_sliding_joint_moves_when_it_moves_by_millimetres(truth) -> None:
-    """A prismatic joint has no limit in degrees: 30 mm are enough, 10 mm are not, and the message uses mm."""
+    """No threshold in degrees holds for a prismatic joint: 30 mm are enough, 10 mm are not; the message uses mm."""
     robot = replace(truth.robot, prismatic=np.arange(7) == 0)
     t = np.arange(0, 10, 0.004)
 
@@ -146,7 +146,7 @@ def test_constant_power_warms_as_the_law_says() -> None:
 
 
 def test_warmth_settles_with_its_own_friction() -> None:
-    """With viscous friction f qd^2 (1 - 0.4 x) at constant speed, x settles at h / (1 + 0.4 h)."""
+    """With viscous friction power f qd^2 (1 - 0.4 x) at constant speed, x settles at h / (1 + 0.4 h)."""
     k = np.array([2.0, 0.0, 0.0, 0.0, -0.8, 0.0])
     power = np.tile([0.5, 0.0, 0.0], (3000, 1))
     assert settled(power, k, 120.0, 0.0, 1.0)[-1] == pytest.approx(1.0 / 1.4, rel=1e-3)
@@ -242,7 +242,7 @@ def test_constant_is_the_mean_square() -> None:
 
 
 def test_a_step_is_found_between_two_samples_of_speed() -> None:
-    """The threshold is not on a grid: it lies within samples of the variance jump; without a jump it is unknown."""
+    """The threshold has no grid: it lies within three samples of the variance jump; without a jump it is unknown."""
     rng = np.random.default_rng(3)
     qd = rng.permutation(np.linspace(0.001, 1.0, 1000))[:, None]
     noise = rng.standard_normal((1000, 1))
@@ -309,7 +309,7 @@ def test_drift_between_logs_is_not_averaged(truth, excited, model) -> None:
 
 
 def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
-    """Covers 95.4 % of the observable axes on the rows used for tuning, unless a factor reached its bound."""
+    """Two sigma cover 95.4 % on the observable axes of the tuning rows, unless a factor reached its bound."""
     data = prepare(excited, truth.robot)
     rows = np.arange(len(data.t)) < len(data.t) // 2
     folds = [(model, rows), (model, ~rows)]

@@ -68,7 +68,7 @@ OPTIONS: dict[str, Callable[..., Any]] = {
 RECORD: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "at least one log", lambda s: identify.prepare([], YUMI)),
     (NotExcited, YUMI.joint_names[3], lambda s: identify.prepare(rested(s), YUMI)),
-    (NotExcited, f"constant for {YUMI.joint_names[5]}",
+    (NotExcited, f"constant values for {YUMI.joint_names[5]}",
      lambda s: identify.prepare(changed(s.log, put(slice(None), 5, 1.0), "tau"), YUMI)),
     (NotExcited, "at least 5 s", lambda s: identify.prepare(s.log.between(0.0, 3.0), YUMI)),
     (ShapeError, "without a gap.*55 samples",

@@ -44,7 +44,7 @@ def test_ranks_of_the_yumi_arm_are_the_published_ones() -> None:
 
 @pytest.mark.parametrize("name", ["yumi_left", "irb2400", "ur5e"])
 def test_axes_that_are_a_little_off_do_not_count_as_others(name: str) -> None:
-    """A calibrated arm: 1 mm and 1 mrad add no nearly dependent columns; torques agree to a thousandth."""
+    """A calibrated arm: 1 mm and 1 mrad add no nearly dependent columns; torques agree to 0.5 %."""
     robot, rng = robots.load(name), np.random.default_rng(1)
     frames = robot.frames @ se3.exp(1e-3 * rng.standard_normal((robot.n + 1, 6)))
     frames[0] = robot.frames[0]
@@ -204,7 +204,7 @@ def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
 
 
 def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> None:
-    """Motor 7 turns with q6 + q7: its inertia and friction act on both rows, and are identified."""
+    """Motor 7 turns with q6 + q7: the design has columns for its inertia and friction in both rows."""
     robot = truth.robot
     gears = np.linalg.inv(robot.coupling)
     gears[6, 5] = gears[6, 6]

@@ -49,8 +49,7 @@ def test_both_parts_of_the_covariance_together_cover_the_errors() -> None:
 
 @pytest.mark.slow  # 5 s
 def test_a_model_with_parts_is_judged_with_what_its_base_lost_on_the_same_log(truth, excited, model) -> None:
-    """On its own log, the base model has seen every fifth, so its loss is added. On another log, the residuals include
-    it."""
+    """On its own log, the base model has seen all folds, so its loss is added. On another log, residuals include it."""
     data = prepare(excited.between(0.0, 10.0), truth.robot)
     model = replace(model, sources=data.sources)
     q, folds = model.quality, [model] * FIFTHS

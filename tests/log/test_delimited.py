@@ -237,7 +237,7 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
     monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
     text = b"x\n" + (digit + b"\n") * SOME
     path = put(tmp_path / "log", text, packed=True)
-    words = rf"Expected at most {SOME} bytes of text, 200 times its size, .* gunzip"
+    words = rf"Expected at most {SOME} bytes of text, 200 times the file size, .* gunzip"
     with memory(most * SOME), pytest.raises(LogError, match=words):
         log.read_csv(path, rate=250.0)
     assert len(log.read_csv(put(path, text), rate=250.0)) == SOME

@@ -190,7 +190,7 @@ _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 def read_operation(data: bytes | str) -> Operation:
     if isinstance(data, bytes):
-        raise CommandRefused(f"Expected a JSON text message, got a binary message of {len(data)} bytes.")
+        raise CommandRefused(f"Expected a text message in JSON, got a binary message of {len(data)} bytes.")
     if len(data) > LARGEST:
         raise CommandRefused(f"Expected a message of at most {LARGEST} characters, got {len(data)}.")
     try:
