@@ -11,6 +11,6 @@ Result = TypeVar("Result")
 
 
 def on_all_cores(case: Callable[..., Result], *arguments: Iterable[Any]) -> list[Result]:
-    """Return the results of a module's function for each set of arguments, in order, from several processes."""
+    """Call a module's function with each set of arguments in several processes; return the results in order."""
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         return list(pool.map(case, *arguments))

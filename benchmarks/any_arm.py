@@ -1,7 +1,7 @@
 """Demo on other arms from their descriptions: worst force error of five seeds relative to a scaled target.
 
-The target of an arm is that of a YuMi, scaled by the force error at home caused by 1 % of the torque limits
-(`armlab.cli.demo.force_unit`).
+The target of an arm is that of a YuMi, scaled by the force error in the home position for torque errors of 1 % of the
+torque limits (`armlab.cli.demo.force_unit`).
 
 python benchmarks/any_arm.py                 all arms, five seeds each, about ten minutes
 python benchmarks/any_arm.py panda ur5e      some arms

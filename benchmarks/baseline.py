@@ -1,4 +1,4 @@
-"""Comparison of a run with stored figures: `baseline.json`, written by `--publish`.
+"""Comparison of a run with the stored baseline: `baseline.json`, written by `--publish`.
 
 Times from two machines are not compared. The comparison uses ratios of armlab's time to a peer's time in the same run,
 because they are nearly the same on both machines. A benchmark without a peer is compared by its own figures: times only
@@ -33,7 +33,7 @@ class Change(NamedTuple):
 
     @property
     def times(self) -> float:
-        """New value over old value; above 1, armlab has become slower or its error larger."""
+        """New value over old value; above 1, armlab has become slower or less accurate."""
         return self.now[0] / self.before[0]
 
     @property

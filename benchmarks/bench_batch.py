@@ -104,7 +104,8 @@ def _poses_and_jacobians(robot: Robot, q: np.ndarray) -> Job:
 
 
 def _tables(job: Job, title: str, rounds: int) -> list[Table]:
-    """Return the table for results in reused memory, to which the target applies, and the table for new results."""
+    """Return the table for results in reused memory, to which the target applies, and the table for newly allocated
+    results."""
     text = f"{job.robot.name}, {job.robot.n} joints, one call; all results agree to 1e-9. "
     return [
         table(title, text + _line(USED), "ms", _used(job), rounds),

@@ -1,4 +1,4 @@
-"""Bridge of a cell: cost of clients to the loop, measured from the arrival of a packet to its reply."""
+"""Bridge of a cell: latency that clients add to the loop, measured from the arrival of a packet to its reply."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ rows = 0
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure a run of a cell whose LabComm clients connect in blocks, and the loop without servers."""
+    """Measure a run of a cell whose LabComm clients connect only in some blocks, and the loop without servers."""
     rounds = 8 if quick else 30
     busy, free = _bridge(rounds)
     alone = iter(np.array_split(_alone(3.0 if quick else 10.0), rounds))

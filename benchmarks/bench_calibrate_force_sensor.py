@@ -88,7 +88,7 @@ def _decomposition(cloud: tuple[np.ndarray, np.ndarray]) -> Any:
 
 
 def _draw(case: Case, run: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], np.ndarray]:
-    """Return the arguments, the same with noise-free readings, the truth, and the samples in contact."""
+    """Return the arguments, the same arguments with noise-free readings, the truth, and the samples in contact."""
     made = cell(case.seed)
     if case.accelerometer:
         drawn = made.accelerometer(run, case.N, sigma=case.sigma)

@@ -106,7 +106,7 @@ def _experiment(name: str, seed: int, run: int, n: int) -> Experiment:
     q = rng.standard_normal(4)
     R, c = quaternion.to_matrix(q / np.linalg.norm(q)), rng.standard_normal(3)
     hint: dict[str, Any] = {"along": R[:, 0]} if name == "line" else {} if name == "sphere" else {"normal": R[:, 2]}
-    if name in ("plane", "line"):  # one generator draws both: the points of the line follow the noise of the plane
+    if name in ("plane", "line"):  # one generator for both: the line is drawn after the noise of the plane
         flat = rng.uniform(-1, 1, (n, 2)) * [0.15, 0.10]
         noise = rng.standard_normal((n, 3))
         if name == "line":
@@ -143,7 +143,7 @@ def _sphere_error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray]) -> np.nda
 
 
 def _spoil(data: dict[str, Any], rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray]:
-    """Move 5 % of the points by 10 mm off the feature."""
+    """Move 5 % of the points 10 mm off the feature."""
     bad = np.zeros(len(data["p"]), dtype=bool)
     bad[rng.choice(len(bad), len(bad) // 20, replace=False)] = True
     if "along" in data:

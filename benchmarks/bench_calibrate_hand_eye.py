@@ -30,7 +30,8 @@ Solve = Callable[[bars.Poses], tuple[np.ndarray, np.ndarray]]
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure 30 and 1000 pairs of poses, outliers, and points; then run every case many times for the errors."""
+    """Measure 30 and 1000 pairs of poses, outliers, and points; then run every case many times to determine the
+    errors."""
     cv2.setNumThreads(1)  # single-threaded like armlab, without waiting for threads of other libraries
     rounds, runs = (5, 50) if quick else (20, 500)
     few = [bars.poses(1000, k)[0] for k in range(20)]

@@ -1,7 +1,7 @@
 """Kinematic calibration compared with pybotics and robotkinecal: times, and errors on the same samples.
 
 Both peers solve by least squares without weights or covariance: robotkinecal over twists in the base frame, pybotics
-over a modified table. Peers that are not installed are omitted.
+over a modified DH table. Peers that are not installed are omitted.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _has(name: str) -> bool:
 def _pybotics(run: Any) -> list[Contender]:
     if not _has("pybotics"):
         return []
-    note = "modified table, base and tool by scipy, 60 steps, no covariance"
+    note = "modified DH table, base and tool by SciPy, 60 steps, no covariance"
     return [Contender("pybotics", once(lambda: solve_pybotics(run)), note=note)]
 
 

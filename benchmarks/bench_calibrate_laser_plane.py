@@ -24,7 +24,7 @@ from armlab.sim.experiments.sensors import ANGLE, SIGMA, scanned, turns
 
 BAR, WRONG = 1.05, 3
 SEEDS = (4000, 4700)
-CONTRACT, ORIGIN = "the contract", "L4, plates through the origin"  # the contract runs first, as the longest
+CONTRACT, ORIGIN = "the contract", "L4, plates through the origin"  # the contract runs first, because it takes longest
 LAWS = ("order-free", "gauge-free", "refuses", "saves", "explains", "clean")
 
 
@@ -61,7 +61,7 @@ def _refused(data: dict[str, Any]) -> None:
 def _draw(
     seed: int, run: int, lines: bool = True, wrong: bool = False, moved: bool = False
 ) -> tuple[dict[str, Any], Any, Any]:
-    """Return the arguments, the same with noise-free scans, and the sensor pose."""
+    """Return the arguments, the same arguments with noise-free scans, and the sensor pose."""
     bad = WRONG if wrong else 0
     drawn = cell(seed).laser(run, wrong=bad)
     A, scans = drawn.A.copy(), drawn.scans.copy()

@@ -1,4 +1,4 @@
-"""Rigid-body dynamics: single calls compared with Pinocchio, and a million inverse dynamics compared with NumPy."""
+"""Rigid-body dynamics: single calls compared with Pinocchio, and a million torques compared with NumPy."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def run(quick: bool) -> list[Table]:
 
 
 def _batch(robot: robots.Robot, count: int) -> Table:
-    """Return the table for many inverse dynamics in one call."""
+    """Return the table for many inverse dynamics evaluations in one call."""
     motion = np.random.default_rng(4).normal(size=(3, count, robot.n))
     chain = oracles.Chain(robot.frames, robot.prismatic)
 
@@ -76,6 +76,6 @@ def _batch(robot: robots.Robot, count: int) -> Table:
     tenth = motion[:, : count // 10]
     contenders = [
         Contender("armlab inverse_dynamics", once(partial(dynamics.inverse_dynamics, robot, *motion)), "armlab"),
-        Contender("NumPy", once(partial(plain, tenth), scale=10.0), bar=1 / 15, note="in blocks; a tenth, times 10"),
+        Contender("NumPy", once(partial(plain, tenth), scale=10.0), bar=1 / 15, note="in blocks; 10 x a tenth"),
     ]
     return table(f"{count:,} inverse dynamics", "One call with new arrays.", "ms", contenders, 5)

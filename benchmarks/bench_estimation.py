@@ -19,7 +19,7 @@ BAR = 0.75  # relative to LAPACK on whole blocks
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure the factorisation of all rows in one pass; weights and robust fits follow later."""
+    """Measure the factorisation of all rows in one pass, without weighting and robust fitting."""
     samples = 50_000 if quick else 1_000_000
     names = [f"p{i}" for i in range(SIZE)]
     few = list(_rows(20_000))
@@ -35,7 +35,8 @@ def run(quick: bool) -> list[Table]:
     ]  # fmt: skip
     text = (
         f"1e6 samples of {JOINTS} joints; {SHARED} shared columns and {OWN} per joint, {SIZE} in total; 1000 "
-        f"time blocks. Rows are generated on the fly from one piece of {PIECE} samples. Solutions agree to {worst:.1g}."
+        f"time blocks. Rows are generated on the fly from one segment of {PIECE} samples. Solutions agree to "
+        f"{worst:.1g}."
     )
     return [table("Least squares", text, "s", contenders, 2 if quick else 3)]
 

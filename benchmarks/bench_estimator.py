@@ -105,7 +105,10 @@ def _methods(torque_model: TorqueModel, robot: Robot, states: Sequence[State], r
         estimator = Estimator(torque_model, robot, name.split(",")[0], **options)
         step = each(estimator.step, states[:1000], estimator.reset)
         contenders.append(Contender(name, step, "armlab", OF_MAP.get(name), over="map" if name in OF_MAP else ""))
-    text = f"One step of {ROBOT} with each method, back to back; median of a block. Ratios are relative to the first."
+    text = (
+        f"One estimator step for {ROBOT} with each method, back to back; median of a block. Ratios are relative to "
+        "the first method."
+    )
     return Table("Estimator methods, p50", text, "µs", figures(contenders, alternate(contenders, rounds)), rounds)
 
 

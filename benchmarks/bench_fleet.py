@@ -1,7 +1,7 @@
 """Identification of one model from 1000 YuMi logs of 20 s with 1, 2 and (on four cores) 4 workers.
 
 There is no peer, because FIGAROH stores the regressor of all samples at once and supports neither workers nor multiple
-logs. "Identification" compares with FIGAROH on one record.
+logs. The benchmark "Identification" compares armlab with FIGAROH on one record.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def run(quick: bool) -> list[Table]:
                 contenders.append(Contender(name, lambda: np.zeros(0), "armlab", bar, note, over if bar else ""))
                 samples.append([np.array([whole])])
     text = (
-        f"Wall-clock time of `fleet.identify` with running workers. {DISTINCT} logs of {SECONDS:g} s at 250 Hz are "
+        f"Wall-clock time of `fleet.identify` with workers already running. {DISTINCT} logs of {SECONDS:g} s at 250 "
+        f"Hz are "
         "repeated as often as needed; each copy omits more leading rows, so it is not a duplicate. Files are read from "
         f"memory, without a cache, on {cores} cores. One log: {1e3 * cost['read']:.1f} ms of core time to read, "
         f"{1e3 * cost['sums']:.1f} ms for its sums; {1e-3 * cost['there']:.0f} kB are sent to the worker and "

@@ -25,7 +25,7 @@ RATE = 250
 SETTLE = 1.0  # s excluded after the first rows
 TOGETHER = 10  # robots per publishing process
 BAR = 4.0  # p99 with ten robots over p99 with one
-WHOLE = 0.999  # no larger number of robots is tried below this share of recorded rows
+WHOLE = 0.999  # share of recorded rows below which no larger number of robots is tried
 MOST = 160  # robots
 PATIENCE = 30.0  # s
 PUBLISHER = Path(__file__).with_name("fleet_publisher.py")
@@ -62,7 +62,7 @@ def run(quick: bool) -> list[Table]:
     text = (
         f"99th percentile of the time from a row's stamp to the callback of `FleetRecorder`, for {RATE} rows of 400 "
         "bytes per second and robot, with congestion control BLOCK, through a router in a separate process. Ten robots "
-        f"share a process. Rows count from {SETTLE:g} s after the first row. All processes share the "
+        f"share a process. Rows are counted from {SETTLE:g} s after the first row. All processes share the "
         f"machine's cores.{more}"
     )
     return [Table("Fleet: rows of many robots", text, "ms", figures(contenders, samples), rounds)]

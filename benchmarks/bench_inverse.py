@@ -16,7 +16,7 @@ from armlab.robots import Robot
 ROBOTS = ("yumi_left", "irb2400", "irb7600", "ur5e")
 TOLERANCE = 1e-9  # m and rad
 STARTS = 100
-PART_OF_CLIK = 20  # the Python loop solves one pose in twenty
+PART_OF_CLIK = 20  # the Python loop solves only every twentieth pose
 
 
 def run(quick: bool) -> list[Table]:

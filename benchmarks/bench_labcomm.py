@@ -1,4 +1,4 @@
-"""LabComm: encoding and decoding of a robot row, and the cost of a server's clients to the publisher."""
+"""LabComm: encoding and decoding of a robot row, and the load that a server's clients put on the publisher."""
 
 from __future__ import annotations
 

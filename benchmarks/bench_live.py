@@ -1,4 +1,4 @@
-"""Live view of a bridge: its cost, the delay of the picture, and its effect on the loop."""
+"""Live view of a bridge: its cost, its delay, and its effect on the loop."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ def run(quick: bool) -> list[Table]:
             found.append(_run(count, seconds))
     text = (
         "Two arms simulated in real time at 250 Hz; their controller sways both and returns a wrench with its "
-        "covariance. The view updates 30 pictures and ten curves per second. The browsers are programs that receive "
+        "covariance. The view updates the scene 30 times and the curves ten times per second. The browsers are "
+        "programs that receive "
         "and unpack all data but draw nothing, so drawing does not take cores from the loop. The simulator, "
         f"loop, view and browsers share the machine. {seconds:g} s per run."
     )
@@ -182,7 +183,7 @@ def _seconds(process: int) -> float:
 
 
 def _behind(seen: np.ndarray, rows: Any) -> np.ndarray:
-    """Return the delay [s] of each picture of the tool force after the packet that it shows.
+    """Return the delay [s] from each packet to the picture of its tool force.
 
     Measured positions are noisy, so each picture can be matched to an earlier packet.
     """

@@ -79,7 +79,7 @@ class _Bench:
         return tables
 
     def _text(self, path: Path) -> str:
-        """Check that the hash is restored, and return the text with the file size."""
+        """Check that a written file restores the hash; return the text with the file size."""
         again = log.read(log.write(self.table, path))
         if again.sha256 != self.table.sha256:
             raise Disagreement(f"{path.name}: expected the hash of the table, got a different one.")

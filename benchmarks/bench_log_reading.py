@@ -27,8 +27,8 @@ ONE, ALL = 1.3, 3.0  # relative to the limit: one signal; all signals
 LIMIT = "only SHA-256, zstd and CRC-32"
 TEXT = """\
 {size:.0f} MB of noise, wall-clock time. armlab checks every chunk, hashes the file and builds a numeric table in two
-threads. mcap and rosbags return the messages of the topic of q as bytes. The limit is SHA-256 of the file in parallel
-with zstd and CRC-32 of its chunks, which every read needs, without copying numbers.
+threads. mcap and rosbags return the messages of the topic of q as bytes. The limit is the work required by every read:
+SHA-256 of the file, in parallel with zstd and CRC-32 of its chunks, without copying numbers.
 """
 
 

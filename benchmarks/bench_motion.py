@@ -1,8 +1,8 @@
 """Movement primitives compared with movement_primitives: fit, rollout, one step, and a thousand runs at once.
 
 Seven coordinates, 1000 samples and 50 kernels; both libraries are called through their public API. The peer has no
-batch function, so its runs are a loop, of which one pass is timed. Its derivatives and phase differ, so the motions are
-compared with the demonstration.
+batch function, so its runs are executed in a loop; one pass is timed. Its derivatives and phase differ, so the motions
+are compared with the demonstration.
 """
 
 from __future__ import annotations

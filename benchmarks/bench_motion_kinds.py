@@ -114,7 +114,7 @@ def _obstacles(rounds: int) -> Table:
 
     nearest = [np.linalg.norm(path - BALL, axis=1).min() for path in (own(), peer())]
     text = (
-        f"Three coordinates x {N} samples, {KERNELS} kernels, one point next to the path. Smallest distance: "
+        f"Three coordinates x {N} samples, {KERNELS} kernels, one point obstacle next to the path. Smallest distance: "
         f"{nearest[0]:.3f} m (armlab, requested {CLEARANCE} m) and {nearest[1]:.3f} m (movement_primitives, which has "
         "no clearance setting)."
     )

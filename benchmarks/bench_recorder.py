@@ -1,4 +1,4 @@
-"""Recorder: cost to the loop and the machine, loss after a kill, and effect of a stalled disk."""
+"""Recorder: cost to the loop and the machine, data loss after a kill, and effect of a stalled disk."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Rows = list[tuple[State, Command, Tick]]
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure rows in a paced loop, processor time, loss after a kill, and a stalled disk."""
+    """Measure rows in a paced loop, processor time, data loss after a kill, and a stalled disk."""
     with tempfile.TemporaryDirectory() as folder:
         return [
             *_row(Path(folder), 2.0 if quick else 3.0, 2 if quick else 3),

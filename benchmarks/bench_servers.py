@@ -110,8 +110,8 @@ def _slows(slow: Sequence[Slow], alone: Sequence[Window], seconds: float) -> lis
     text = (
         f"Two simulated arms and up to {TOGETHER} servers. One client of each server begins to read and is then "
         f"stopped by a signal for the rest of the run. Another client reads for {seconds:g} s, counted from "
-        f"{SETTLED:g} s after its first message. *Reported* are the run statistics on rows not accepted by the server "
-        "and messages dropped for clients. The DDS, Zenoh and ROS 1 libraries do not report dropped messages to the "
+        f"{SETTLED:g} s after its first message. *Reported* gives the run statistics: rows not accepted by the server "
+        f"and messages dropped for clients. The DDS, Zenoh and ROS 1 libraries do not report dropped messages to the "
         "server. Datagrams for PlotJuggler go to only one program, so there is no other client. "
         f"{SLOWED}"
     )

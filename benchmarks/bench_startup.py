@@ -1,4 +1,4 @@
-"""Processor time of imports (in addition to Python and NumPy) and of the commands' help."""
+"""Processor time of imports (excluding Python and NumPy) and of the commands' help."""
 
 from __future__ import annotations
 

@@ -86,7 +86,9 @@ class Table:
         """Raise an error if a time has an absolute target."""
         for one in self.figures if self.unit in TIMES else ():
             if one.role == "armlab" and one.bar is not None and not one.over:
-                raise ValueError(f"Expected {one.name} to be judged by a ratio, got a bar in {self.unit}. Set `over`.")
+                raise ValueError(
+                    f"Expected {one.name} to be judged by a ratio, got a target in {self.unit}. Set `over`."
+                )
 
 
 class Disagreement(Exception):

@@ -2,8 +2,8 @@
 
 NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "both" for two arms in one loop, "estimator" for
 the contact-force estimator in the loop with the model file MODEL, or the name of a PyPI package, which sends back the
-received joints. The bridge records a log in the temporary folder. All except "spin", which never yields, run with
-real-time priority if permitted. The client prints "ready" when it listens.
+received joint positions. The bridge records a log in the temporary folder. All except "spin", which never yields, run
+with real-time priority if permitted. The client prints "ready" when it listens.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SILENCE = 5.0  # s
 
 
 def answer(package: str, port: int) -> None:
-    """Reply to every packet with its own joints until the robot stops sending."""
+    """Reply to every packet with its own joint positions until the robot stops sending."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:

@@ -1,7 +1,7 @@
-// A compiled EGM client for `egm_round_trips`: `egm_peer PORT REPLY`. With LIBEGM defined it is
-// abb_libegm's controller interface, which sends back the joints that it received; else the least
-// that a client can do: it sends REPLY, a datagram in hexadecimal digits, at each packet. Ends when
-// the robot has been silent for 5 s.
+// A compiled EGM client for `egm_round_trips`: `egm_peer PORT REPLY`. If LIBEGM is defined, the
+// client uses abb_libegm's controller interface and sends back the received joint positions.
+// Otherwise, it is a minimal client that answers each packet with REPLY, a datagram in hexadecimal
+// digits. Exits after 5 s without a packet.
 #include <arpa/inet.h>
 #include <sched.h>
 #include <sys/socket.h>

@@ -65,10 +65,11 @@ def round_trips(quick: bool) -> list[Table]:
         late = [_late(client, run(client, file, long, 0.001, compiled.get(client))[0]) for client in fast]
     text = (
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
-        f"two cores) on its own core, both with real-time priority if permitted. Times are from just before a packet "
+        f"two cores) on its own core, both with real-time priority if permitted. Times are measured from just before "
+        f"a packet "
         f"is sent to the kernel's stamp of its reply: median or 99th percentile of a block of {seconds:g} s, {rounds} "
         "alternating blocks per client. Armlab's bridge records a log. The targets refer to abb_libegm, which is "
-        "measured where its sources are given; the PyPI packages stand in for it with lower targets."
+        "measured if its sources are given; lower targets apply relative to the PyPI packages."
     )
     slow = f"Replies of a run of {long:g} s at 1 kHz that took longer than a period."
     chosen = [(way, number) for number in (0, 1) for way in REPORTED]
@@ -77,7 +78,7 @@ def round_trips(quick: bool) -> list[Table]:
 
 
 def _compiled(folder: Path) -> dict[str, list[str]]:
-    """Build the C++ clients; return their commands without the port, or nothing without a compiler."""
+    """Build the C++ clients; return their commands without the port, or nothing if there is no compiler."""
     compiler, robot, found = shutil.which("c++"), robots.load(ROBOT), {}
     if compiler is None:
         return found

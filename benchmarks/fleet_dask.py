@@ -115,7 +115,7 @@ def _bits(found: fleet.Identified) -> bytes:
 
 
 def _identified(folder: Path, dask: str | None, spoil: Callable[[], None]) -> tuple[float, float, fleet.Identified]:
-    """Return the times of the sums and in total, and the result; call `spoil` after a fifth of the logs."""
+    """Return the time of the sums, the total time, and the result; call `spoil` after a fifth of the logs."""
     marks: dict[int, float] = {}
 
     def look(done: int, total: int, what: str) -> None:

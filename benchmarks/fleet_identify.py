@@ -53,7 +53,8 @@ def main(folder: Path, count: int) -> dict[str, Any]:
 
 
 def share(folder: Path) -> dict[str, float]:
-    """Return the processor time [s] to read one log and to compute its sums, and the bytes to the worker and back."""
+    """Return the processor time [s] to read one log and to compute its sums, and the bytes sent to the worker and
+    back."""
     robot, logs = robots.load(ROBOT), sorted(folder.iterdir())[:10]
     start = process_time()
     tables = [read_arm(log, robot) for log in logs]

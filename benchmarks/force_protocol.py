@@ -2,8 +2,8 @@
 
 One seed of the protocol has three parts. The excitation lasts 60 s, with 8 harmonics of 0.1 Hz, up to 60 % speed and 15
 rad/s^2; a model is identified from it. The test motion lasts 60 s, with 6 harmonics of 0.07 Hz from another seed, up to
-40 % speed. Every 3 s, a 5 N push in a random direction lasts 1 s, with ramps of 0.1 s. Finally, 500 g press in +x and
--z at the home posture, first while the arm sways by 2 degrees at 0.5 Hz, and then while it rests. The estimator
+40 % speed. Every 3 s, a 5 N push in a random direction lasts 1 s, with ramps of 0.1 s. Finally, presses of 500 g act in
++x and -z at the home posture, first while the arm sways by 2 degrees at 0.5 Hz, and then while it rests. The estimator
 receives only logs. With `gains`, every torque sensor has an unknown gain error, which is the same in all logs.
 """
 

@@ -34,7 +34,7 @@ TILT = np.radians(30.0)
 def poses(
     seed: int, run: int, N: int = 30, tilt: bool = False, bad: int = 0, robot: tuple[float, float] | None = None
 ) -> tuple[Poses, Poses]:
-    """Return the data of H1 to H4, and the same without noise and outliers."""
+    """Return the data of H1 to H4, and the same data without noise or outliers."""
     data = cell(seed).hand_eye(run, N, tilt=TILT if tilt else None, robot=robot, wrong=bad)
     return data, replace(data, A=data.A_exact, B=data.B_exact)
 
@@ -172,15 +172,15 @@ CASES: tuple[tuple[Callable[..., Bar], str, int, dict[str, Any]], ...] = (
     (pose_case, "H2, noise estimated", 1000, {"given": False, "tilt": True}),
     *((pose_case, f"H3 {share} % outliers", 1000, {"bad": bad}) for bad, share in ((2, 5), (3, 10), (6, 20), (9, 30))),
     (pose_case, "H3 30 %, noise estimated", 1000, {"given": False, "bad": 9}),
-    (pose_case, "H4 smaller noise of the robot", 1100, {"robot": ROBOTS[0]}),
+    (pose_case, "H4 smaller robot noise", 1100, {"robot": ROBOTS[0]}),
     (pose_case, "H4 smaller, tilt", 1100, {"robot": ROBOTS[0], "tilt": True}),
-    (pose_case, "H4 larger noise of the robot", 1100, {"robot": ROBOTS[1]}),
+    (pose_case, "H4 larger robot noise", 1100, {"robot": ROBOTS[1]}),
     (pose_case, "H4 larger, tilt", 1100, {"robot": ROBOTS[1], "tilt": True}),
     (led_case, "H5 LEDs", 1500, {}),
     (led_case, "H5, 20 % missing", 1500, {"missing": True}),
     (led_case, "H5, 50 mm of noise", 1500, {"sigma": 0.05}),
     (led_case, "H5, 50 mm, 20 % missing", 1500, {"sigma": 0.05, "missing": True}),
-    (led_case, "H5, 20 % missing, larger noise of the robot", 1500, {"missing": True, "robot": ROBOTS[1]}),
+    (led_case, "H5, 20 % missing, larger robot noise", 1500, {"missing": True, "robot": ROBOTS[1]}),
     (led_case, "H5, unknown marker", 1500, {"known": False}),
     (led_case, "H5, unknown marker, 50 mm", 1500, {"sigma": 0.05, "known": False}),
 )

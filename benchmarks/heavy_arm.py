@@ -2,7 +2,7 @@
 
 Each seed simulates an arm with the size and masses of a UR10e at 125 Hz. Torques are currents times assumed torque
 constants, each of which is wrong by up to 15 %. Gears lose up to 6 % of the torque, offsets vary by 0.5 % of the torque
-limit, and unmodelled ripple has 200 lines per revolution. A model is identified from 60 s without load. The same arm
+limit, and unmodelled ripple has 200 periods per revolution. A model is identified from 60 s without load. The same arm
 then carries 0, 1 and 3 kg through another motion. The truth is the weight and inertial force of the load at the flange.
 
 python benchmarks/heavy_arm.py                20 seeds, about a minute each
@@ -42,7 +42,7 @@ class Logs:
 
     Attributes
     ----------
-    fit : fit to the excitation without load. loaded : log of the other motion by the mass of the load [kg].
+    fit : fit to the excitation without load. loaded : log of the other motion for each load mass [kg].
     of_load : (n,) true load friction. gains : (n,) ratio of measured to true torque.
     """
 
@@ -69,7 +69,8 @@ def ur10e() -> robots.Robot:
 
 
 def truth_of(robot: robots.Robot) -> sim.Truth:
-    """Return a synthetic truth: solid cylinders with the vendor's masses, and friction by the rule of `sim`."""
+    """Return a synthetic truth: solid cylinders with the vendor's masses, and friction according to the rule of
+    `sim`."""
     coulomb, n = 0.05 * TAU_MAX, robot.n
     zero, p = np.zeros(n), robot.links[1:, :3, 3]
     return sim.Truth(

@@ -1,6 +1,6 @@
 """Errors of kinematic calibration relative to the Cramér-Rao bound, by Monte Carlo simulation with known truth.
 
-Experiments of `sim.cell`: an IRB 2400 with errors in every frame (or in every number of its table). The error is
+Experiments of `sim.cell`: an IRB 2400 with errors in every frame (or in every parameter of its DH table). The error is
 evaluated at validation poses that are not part of the fit, relative to the noise-free truth. Its bound ``J_v (J^T S^-1
 J)^+ J_v^T`` is evaluated at the truth. NEES is e^T C^-1 e / rank, with C the covariance reported by the fit for some of
 these poses (at least twice as many rows as the rank).
@@ -54,7 +54,8 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One run: squared errors and variances by block, rank, NEES, flags, and the number of wrong initial samples."""
+    """One run: squared errors and variances by block, rank, NEES, flags, and the number of outliers, which come
+    first."""
 
     squares: np.ndarray
     bounds: np.ndarray

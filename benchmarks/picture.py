@@ -31,7 +31,7 @@ class Dot(NamedTuple):
 
 
 def draw(head: str, sections: Sequence[Section], path: Path) -> bool:
-    """Write the picture; return whether there are any figures to draw.
+    """Write the picture; return whether there was anything to draw.
 
     Parameters
     ----------

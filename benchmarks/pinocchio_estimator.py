@@ -17,7 +17,7 @@ REST_TIME = 0.5
 
 
 class PinocchioEstimator:
-    """Static MAP wrench with presliding friction, by the formulas of `armlab.contact.estimator`.
+    """Static MAP wrench with presliding friction, using the formulas of `armlab.contact.estimator`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Trial of `bench_recorder`: a process with two recorders is killed. `python recorder_kill.py FOLDER` records.
 
-The process counts the accepted rows in a memory-mapped file, which survives it.
+The process counts the accepted rows in a memory-mapped file, which survives the kill.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def render(
 
     Parameters
     ----------
-    date : date as text. machine : sentences. quick : state that the run was too short for conclusions.
+    date : date as text. machine : sentences. quick : whether to state that the run was too short for conclusions.
     picture : file name of the picture, in the folder of the report. compared : lines about the baseline.
     """
     lines = ["# Benchmarks: all measurements", "", f"Measured by `make bench`, {date}.", *machine, ""]

@@ -80,7 +80,7 @@ def dds_fast(opened: ExitStack) -> Way | None:
 
 
 def rmw_zenoh(opened: ExitStack) -> Way | None:
-    """Peer that reads the keys of an rmw_zenoh node, but only the stamps in the bytes."""
+    """Peer that receives the messages of an rmw_zenoh node, but decodes only their stamps."""
     from armlab.bridge.servers.ros.rmw_zenoh import Names
 
     names, keys = Names(0, "1"), []

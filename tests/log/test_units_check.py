@@ -118,7 +118,9 @@ def test_a_torque_that_hardly_ever_changes(truth, excited) -> None:
     tau = excited["tau"].copy()
     tau[:, 6] = np.round(tau[:, 6] / 1.0)
     tau[np.arange(len(tau)) % 10 != 0, 6] = 0.0
-    with pytest.raises(NotExcited, match=r"constant values for axis_6 \(the same torque in 9\d % of the rows\)") as caught:
+    with pytest.raises(
+        NotExcited, match=r"constant values for axis_6 \(the same torque in 9\d % of the rows\)"
+    ) as caught:
         prepare(changed(excited, tau=tau), truth.robot)
     assert caught.value.directions == (truth.robot.joint_names[6],)
     check_torque(excited["q"], tau, np.arange(7) < 6, truth.robot)
