@@ -34,7 +34,7 @@ def run(quick: bool) -> list[Table]:
 
 
 def _batches(peers: _Peers | None, t: np.ndarray, dmp: Dmp, rounds: int) -> list[Table]:
-    """Return one table per peer, because a ProDMP takes gigabytes and would slow down armlab's memory allocation."""
+    """Return one table per peer, because the gigabytes of a ProDMP slow down the allocations of other contenders."""
     weights = dmp.weights * (1.0 + 0.1 * np.random.default_rng(2).normal(size=(RUNS, KERNELS, JOINTS)))
     exact = np.stack([replace(dmp, weights=own).solve(t).y for own in weights[:CHECKED]], axis=1)
     error = rmse(dmp.rollout_batch(t, weights=weights).y[:, :CHECKED], exact)

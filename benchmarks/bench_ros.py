@@ -122,7 +122,7 @@ def _bare(way: Way, seconds: float) -> Found | None:
 
 def _received(way: Way, reader: Reader, sent: np.ndarray) -> Received:
     if not reader.wait(PATIENCE):
-        raise ArmlabError("Expected the reader to stop after receiving enough messages, but it continues.")
+        raise ArmlabError("Expected the reader to stop after receiving enough messages, but it is still running.")
     return reader.received(sent, way.kinds)
 
 

@@ -166,7 +166,7 @@ def transplant(scratch: ModuleType, module: ModuleType) -> tuple[set[CodeType], 
     """Substitute a loaded mutant for its module; return the changed code objects, and whether anything else changed.
 
     Functions keep their identity for all references: only their code is replaced. Constants are replaced in every
-    armlab module that has them under the same name.
+    armlab module that binds them to the same name.
     """
     ours, theirs, changed, beside = codes(module), codes(scratch), set(), False
     for key in ours.keys() & theirs.keys():

@@ -1,4 +1,4 @@
-// Packer of recorded rows as bytes, and fast creation of frozen dataclasses. Documented in
+// Packing of recorded rows into bytes, and fast creation of frozen dataclasses. Documented in
 // _native.pyi.
 #include <iterator>
 

@@ -1,4 +1,4 @@
-"""``armlab view``: usage errors, Ctrl-C as a normal end, and a separate process for a view beside a run."""
+"""``armlab view``: usage errors, normal exit on Ctrl-C, and a separate process for a view opened during a run."""
 
 from __future__ import annotations
 

@@ -366,7 +366,7 @@ class Motion:
         return cls(stops=at - 0.002, amplitude=0.18, rate=6.0)
 
     def begin_anew(self) -> None:
-        """Restart the sway from the current arm position, after another controller was in charge."""
+        """Restart the sway from the current arm position, after another controller was in control."""
         self._from = None
 
     def __call__(self, t: float, state: State) -> Command | None:

@@ -1,4 +1,4 @@
-"""Logs by name, export, and contact force in many logs."""
+"""Selection of logs by name, export, and contact force in many logs."""
 
 from __future__ import annotations
 

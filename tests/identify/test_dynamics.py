@@ -26,7 +26,7 @@ from armlab.robots import Robot
 
 
 def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> None:
-    """Held-out motion: the error stays below a tenth of the Coulomb torque, without any knowledge of the truth."""
+    """On held-out motion, a model fitted without the truth has an error below a tenth of the Coulomb torque."""
     t = np.arange(0, 10, 0.004)
     motion = identify.design_excitation(truth.robot, seconds=10, f0=0.07, harmonics=6, speed=0.4, seed=99)
     clean = truth.log(motion, noise=0.0)

@@ -12,7 +12,7 @@ from armlab.log import Table
 
 
 class Sines:
-    """A one-second motion in which every joint follows two sines."""
+    """One-second motion in which each joint position is the sum of two sine waves."""
 
     seconds = 1.0
 

@@ -48,7 +48,7 @@ def pair() -> Iterator[tuple[Any, Any, tuple[str, int]]]:
     for one in (sender, receiver):
         one.close()
         assert one.receive() is None
-        assert one.errors  # a closed one does not read others' datagrams
+        assert one.errors  # a closed receiver must not read another socket's datagrams
 
 
 def test_they_arrive_in_order_with_stamps(pair: Any) -> None:

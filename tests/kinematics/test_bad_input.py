@@ -119,7 +119,7 @@ def test_numbers_of_a_search_that_are_none(name: str) -> None:
                 function(ROBOT, T, **{name: value})
 
 
-WRONG = [  # arguments of the inverse
+WRONG = [  # invalid arguments to `kinematics.inverse`
     ({"T_base_tool": np.eye(3)}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(3, 3\)"),
     ({"T_base_tool": np.zeros(4)}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(4,\)"),
     ({"T_base_tool": np.zeros((5, 3, 4))}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(5, 3, 4\)"),

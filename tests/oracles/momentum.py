@@ -26,8 +26,8 @@ with velocity noise, R = M diag(qd_noise^2) M^T; J is taken in the middle of the
 v = s^2 + (doubt J^T z)^2 + static^2 p: the velocity-dependent error, forgotten within `memory`; the uncertainty of the
 wrench's own torque from gains and load friction; and unknown friction after a rest, static and p as in
 `estimator.py`. The last two persist and must not be averaged away: noise of intensity ``v^2 / (J^T rate J)_ii`` leaves
-the wrench the doubt v. That is its intensity, or ``2 s^2 memory + (v - s^2) LONGEST`` where this is less. When biased,
-friction is a state b instead, which enters with -1: its variance rises at rest as p does, up to static^2, and
+the wrench the doubt v. The noise has this intensity or ``2 s^2 memory + (v - s^2) LONGEST``, whichever is smaller. When
+biased, friction is a state b instead, which enters with -1: its variance rises at rest as p does, up to static^2, and
 it decays with displacement like the presliding state, ``db = -b |dq| / delta``; at rest it stays, except for CREEP.
 """
 

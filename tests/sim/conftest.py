@@ -17,7 +17,7 @@ Reply = Callable[[int, Packet, bytes], list[bytes]]
 
 
 class ThreadedPeer:
-    """Binds a port of 127.0.0.1 and answers until closed.
+    """Binds a port on 127.0.0.1 and replies until closed.
 
     `answer` gets the number of the packet, the packet and the normal reply, and returns the datagrams to send.
     """

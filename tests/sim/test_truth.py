@@ -226,7 +226,7 @@ def test_gears_keep_the_power(plain: np.ndarray) -> None:
 
 
 def test_the_arm_as_built() -> None:
-    """Joint zeros: the arm at reported q is the description at q less the offsets; the rest moves the frames."""
+    """The true pose at reported q equals the nominal pose at q minus the offsets, except for displaced frames."""
     robot = ROBOT
     q = robot.q_home + 0.3
     mismatch = Mismatch(joint_zero=0.01, seed=2)

@@ -61,7 +61,7 @@ _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False, simulated: bool = False) -> Codec:
-    if name == "egm" and simulated:  # the simulator uses the same units for received and sent linear axes
+    if name == "egm" and simulated:  # the simulator uses the same units for linear axes in both directions
         axes = zip(robot.prismatic, robot.abb_axes, strict=True)
         return EgmCodec(robot, extension, ["mm" if slides and axis > 6 else "deg" for slides, axis in axes])
     if name == "egm":

@@ -33,7 +33,7 @@ FLAT = 0.05  # sine of the angle between plate and laser plane below which a sca
 SHAKEN = 1e-3  # accuracy of robot orientations [rad]; smaller rotations count as zero
 UNITS, FAR = 2.0, 20.0  # ratios of length units above which the ratio is reported, and above which no fit is tried
 ROUGH = 0.1  # ratio of the residual to the spread of the points above which scans are inconsistent
-FAR_APART = 30.0  # spread [m] larger than any robot cell, as when 30 cm are given in millimetres
+FAR_APART = 30.0  # spread [m] larger than any robot cell, for example 300, which is 30 cm in millimetres
 TURNED = 0.2  # residual angle [rad] above which scans are inconsistent
 
 

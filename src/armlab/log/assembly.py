@@ -13,7 +13,7 @@ from armlab.log.table import Table
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # padded to the largest robot
 
-_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; a larger value indicates that the clock was set
+_MAX_DISAGREEMENT = 1.0  # s per row, robot clock minus session time; if larger, the clock was adjusted
 
 
 def recording_table(

@@ -48,7 +48,7 @@ class JointLimits(Protocol):
 
 
 class Controller(ABC):
-    """Controller of a motion, a callable ``State -> Command``; created by the `controller` method of a primitive.
+    """Motion controller: a callable ``State -> Command``, created by the `controller` method of a primitive.
 
     The controller starts at rest from the measured position whenever a robot session begins. Time advances by the
     interval between packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is

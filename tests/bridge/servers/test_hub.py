@@ -1,4 +1,4 @@
-"""The hub of server processes and the server end: neither blocks, both count dropped messages, no stop is lost."""
+"""The hub of server processes and the server end: neither blocks, both count dropped messages, and no stop is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The byte vectors that real LabComm libraries wrote, where they are."""
+"""Byte vectors written by the LabComm libraries; tests are skipped if the vectors are missing."""
 
 from __future__ import annotations
 

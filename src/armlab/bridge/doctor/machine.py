@@ -92,7 +92,7 @@ def packages(version: Callable[[str], str] = importlib.metadata.version) -> Find
             version(package)
             number = version(dependency)
             if int(number.partition(".")[0]) >= limit:
-                advice = f"pip install '{dependency}<{limit}': {package} does not work with {number}."
+                advice = f"pip install '{dependency}<{limit}': {package} does not work with {dependency} {number}."
                 return Finding("packages", "warning", value, advice)
     return Finding("packages", "ok", value)
 

@@ -394,7 +394,7 @@ class ReplaySource(Source):
 
 _STAMPS = ("seq", "stamp_ns")
 _DRAINED = 64  # maximum number of datagrams per tick, so a flood does not block the loop
-_BACKLOG = 2000  # maximum number in the first tick; they may have arrived before the first robot packet
+_BACKLOG = 2000  # the same in the first tick; these may have arrived before the first robot packet
 _MOST_GAPS = 1 << 53  # largest exact integer in the log
 
 

@@ -291,7 +291,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
-        """Return the excitation at a state; weak directions raise an error unless a prior holds them."""
+        """Return the excitation at a state; raise an error for weak directions that no prior constrains."""
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
@@ -352,7 +352,7 @@ class KinematicEstimation(ABC, Generic[S]):
             self.judge(data, state, self._instrument(), outside)
             sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
             raise NotConverged(
-                f"Expected an arm that fits the measurements, got residuals of {sizes} "
+                f"Expected a kinematic model that fits the measurements, got residuals of {sizes} "
                 "(RMS). Residuals this large leave some directions undetermined; an "
                 "instrument accurate to 1 mm would determine them. Detect outliers with "
                 "robust=True, and check the joint order and the pairing of samples and joint positions.",
@@ -397,8 +397,8 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
             rms = float(np.sqrt(np.mean(off**2))) if off.size else 0.0
             if rms > MISFIT * space > 0.0 and len(kept) > 3:
                 raise NotConverged(
-                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} {unit} in a workspace of "
-                    f"{space:.3g} {unit}. Check the units, the joint order, and the pairing of samples and joint "
+                    f"Expected a kinematic model that fits the measurements, got residuals of {rms:.3g} {unit} in a "
+                    f"workspace of {space:.3g} {unit}. Check the units, the joint order, and the pairing of samples and joint "
                     "positions.",
                     best=best,
                     reason="mismatch",

@@ -318,7 +318,8 @@ def fit_samples(
         if len(widths) > 1:
             shapes = ", ".join(f"{array.shape} in {one.path.name}" for one, array in zip(read, part, strict=True))
             raise LogError(
-                f"Expected files with the same measurements, got arrays of {shapes}. Calibrate each file separately."
+                f"Expected files with the same measurements, got arrays of shape {shapes}. "
+                "Calibrate each file separately."
             )
     joined = [np.concatenate(part) for part in zip(*arrays, strict=True)]
     found = fit(*joined)

@@ -153,7 +153,7 @@ class ModelFigure(LogFigure):
         return armlab.contact.Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
 
     def with_log(self, model: Path, log: Path) -> tuple[TorqueModel, Table]:
-        """Return the torque model in a file and the selected part of a log."""
+        """Load a torque model and the selected part of a log."""
         known = torque_model(model)
         return known, self.log_of(known, log)
 

@@ -24,7 +24,7 @@ from armlab.estimation.robust import shrinkage
 
 RIDGE = 1e-6  # ridge relative to the mean diagonal
 FOLDS = 5
-MOST_STRETCHES = 200  # maximum number of segments for a covariance
+MOST_STRETCHES = 200  # maximum number of segments needed to estimate a covariance
 FULL = 1e-6  # lower limit on the share of a direction determined by the other segments
 
 

@@ -128,7 +128,7 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
     running.until(lambda: running.exchange.outlets["ros1"].send(b'{"kind":"count"}') and is_read())
     last = running.number + ROWS
     running.until(lambda: running.number >= last)
-    running.number = 10**9  # makes the reader end
+    running.number = 10**9  # makes the reader exit
     running.until(lambda: reader.poll() is not None)
     assert reader.stdout is not None
     numbers, values, names, texts = json.loads(reader.stdout.read())
