@@ -155,7 +155,8 @@ def _row(figure: Figure, scale: float) -> str:
     note = figure.note
     if figure.role == "limit":
         name = f"*{figure.name}*"
-        note = "; ".join(filter(None, (note, f"armlab reaches {100 / figure.ratio:.0f} % of this limit")))
+        reached = f"armlab reaches {100 / figure.ratio:.0f} % of this limit" if math.isfinite(figure.ratio) else ""
+        note = "; ".join(filter(None, (note, reached)))
     return f"| {name} | {median} | {minimum} | {lower}–{upper} | {_ratio(figure)} | {note} |"
 
 

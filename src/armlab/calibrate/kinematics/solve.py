@@ -398,8 +398,8 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
             if rms > MISFIT * space > 0.0 and len(kept) > 3:
                 raise NotConverged(
                     f"Expected a kinematic model that fits the measurements, got residuals of {rms:.3g} {unit} in a "
-                    f"workspace of {space:.3g} {unit}. Check the units, the joint order, and the pairing of samples and joint "
-                    "positions.",
+                    f"workspace of {space:.3g} {unit}. Check the units, the joint order, and the pairing of "
+                    "samples and joint positions.",
                     best=best,
                     reason="mismatch",
                 )
