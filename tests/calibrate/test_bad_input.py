@@ -128,7 +128,7 @@ MIRRORED = [
     (lambda: acc(y=left_handed(MOVED.y)), NotConverged, "An axis is mirrored or the sign is reversed"),
     (lambda: acc(y=-MOVED.y), NotConverged, "An axis is mirrored or the sign is reversed"),
     (lambda: arm(pose=left_handed(TABLE.pose)), ShapeError, "rotations in pose, got left-handed axes in rows 0, 1"),
-    (lambda: arm(pose=None, position=(MIRROR @ TABLE.pose)[:, :3, 3]), NotConverged, "an arm that fits"),
+    (lambda: arm(pose=None, position=(MIRROR @ TABLE.pose)[:, :3, 3]), NotConverged, "a kinematic model that fits"),
 ]
 UNEXCITED = [
     (lambda: eye(stay(EYE.A), stay(EYE.B)), NotExcited, "got no rotation"),
@@ -351,7 +351,7 @@ class TestHalfATurn:
             assert "?" not in found.report()
 
     def test_of_a_joint(self) -> None:
-        with pytest.raises(NotConverged, match="an arm that fits"):
+        with pytest.raises(NotConverged, match="a kinematic model that fits"):
             arm(TABLE.q + np.pi * np.eye(6)[2], noise=ARM)
         reversed_ = arm(TABLE.q * [1, 1, -1, 1, 1, 1], None, position=TABLE.pose[:, :3, 3])
         assert "link 2 deviates by" in reversed_.report()

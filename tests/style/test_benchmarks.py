@@ -67,7 +67,7 @@ def test_a_time_is_not_judged_by_itself(harness: dict[str, ModuleType]) -> None:
     """The same target would be met on one machine and missed on another."""
     blocks = harness["blocks"]
     ours = [blocks.Contender("ours", constant(1.0, 1.0, 1.0), "armlab", bar=2.0)]
-    with pytest.raises(ValueError, match="ours to be judged by a ratio, got a bar in ms"):
+    with pytest.raises(ValueError, match="ours to be judged by a ratio, got a target in ms"):
         blocks.table("One pose", "", "ms", ours, rounds=1)
     assert blocks.table("Force", "", "N", ours, rounds=1, warm=False).figures[0].is_met
 

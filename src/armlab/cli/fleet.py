@@ -134,7 +134,7 @@ def list_fleet(
     for one in found:
         age = f"{one.age:.3f}" if one.age == one.age else "no rows"
         counts = [f"{one.rate:.1f}", str(one.loss), str(one.damaged), age]
-        rows.append([one.lab, one.robot, *counts, one.commander or "nobody"])
+        rows.append([one.lab, one.robot, *counts, one.commander or "none"])
     result(aligned(rows, (2, 3, 4, 5)) if found else "No robots found.")
 
 

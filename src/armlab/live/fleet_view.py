@@ -299,4 +299,4 @@ def _words(one: SeenRobot) -> tuple[str, ...]:
     rate = f"{one.rate:.0f}" if math.isfinite(one.rate) else "-"
     age = f"{one.age:.2f}" if math.isfinite(one.age) else "-"
     counts = (rate, str(one.missed), str(one.damaged), age)
-    return (one.name, one.state, *counts, one.value("commander") or "nobody")
+    return (one.name, one.state, *counts, one.value("commander") or "none")
