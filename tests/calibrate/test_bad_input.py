@@ -323,7 +323,7 @@ def test_good_data_are_not_suspected() -> None:
 @pytest.mark.parametrize(("case", "words"), [
     (lambda: dual(PAIR.q_a[1:26], PAIR.q_b[1:26], PAIR.pose[:25]), "the pairing of samples and joint positions"),
     (lambda: dual(PAIR.q_a[1:], PAIR.q_b[:-1], PAIR.pose[1:], noise=ARM, robust=True), "outliers among 59"),
-    (lambda: dual(PAIR.q_a[:25], PAIR.q_b[:25], MIRROR @ PAIR.pose[:25] @ MIRROR), "an arm that fits the"),
+    (lambda: dual(PAIR.q_a[:25], PAIR.q_b[:25], MIRROR @ PAIR.pose[:25] @ MIRROR), "a kinematic model that fits the"),
     (lambda: laser(SCANS.A[1:], SCANS.scans[:-1], SCANS.plane[:-1]), "Check the plate labels"),
 ], ids=["shifted poses", "shifted arm", "mirrored", "shifted scans"])  # fmt: skip
 def test_records_of_two_arms_and_of_scans_that_do_not_belong_together(case: Callable[[], Any], words: str) -> None:
