@@ -66,10 +66,10 @@ def round_trips(quick: bool) -> list[Table]:
     text = (
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
         f"two cores) on its own core, both with real-time priority if permitted. Times are measured from just before "
-        f"a packet "
-        f"is sent to the kernel's stamp of its reply: median or 99th percentile of a block of {seconds:g} s, {rounds} "
-        "alternating blocks per client. Armlab's bridge records a log. The targets refer to abb_libegm, which is "
-        "measured if its sources are given; lower targets apply relative to the PyPI packages."
+        "a packet is sent to the kernel's stamp of its reply: median or 99th percentile of a block of "
+        f"{seconds:g} s, {rounds} alternating blocks per client, without the first second. Armlab's bridge records a log. "
+        + ("" if LIBEGM in compiled else f"{LIBEGM} was not measured, because its sources were not given. ")
+        + "Lower targets apply relative to the PyPI packages."
     )
     slow = f"Replies of a run of {long:g} s at 1 kHz that took longer than a period."
     chosen = [(way, number) for number in (0, 1) for way in REPORTED]
