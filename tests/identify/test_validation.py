@@ -59,7 +59,8 @@ def test_a_model_with_parts_is_judged_with_what_its_base_lost_on_the_same_log(tr
     np.testing.assert_allclose(same.quality.coverage, 0.954, atol=0.04)
     assert same.sources == model.sources
     other = assess_again(replace(model, sources=("another log",)), model, folds, data)
-    np.testing.assert_allclose(other.quality.rms_cv, other.quality.rms, rtol=1e-12)
+    # each fold runs from half a second before its rows, after which the filter's initial state no longer matters
+    np.testing.assert_allclose(other.quality.rms_cv, other.quality.rms, rtol=1e-9)
     assert other.sources == ("another log", *data.sources)
     assert np.all(other.covariance.variance(0.3 * np.ones(7)) < same.covariance.variance(0.3 * np.ones(7)))
     # parts that are wrong on fifths they have not seen widen the covariance
