@@ -282,7 +282,7 @@ class FleetView:
         count = sum(one.state == "connected" for one in robots.values())
         place = self._rows.place
         self._state.show(f"{count} of {len(robots)} robots at {place.host}:{place.port} are connected")
-        cell = "padding:0 0.7em 0 0;text-align:left;font-weight:normal"
+        cell = "padding:0 0.4em 0 0;text-align:left;font-weight:normal"
         lines = ["".join(f"<th style='{cell};opacity:0.65'>{word}</th>" for word in _HEADINGS)]
         for name in sorted(robots):
             words = _words(robots[name])
