@@ -68,7 +68,7 @@ def numbers(echoed: str, field: str) -> list[float]:
 
 
 def rate(text: str) -> float:
-    """Return the last average rate printed by `ros2 topic hz`; 0 if there is none."""
+    """Return the last average rate printed by `ros2 topic hz`, or 0 if none was printed."""
     found = re.findall(r"^average rate: ([\d.]+)$", text, flags=re.M)
     return float(found[-1]) if found else 0.0
 
@@ -118,7 +118,7 @@ def stated(page: str, results: list[dict]) -> str:
 
 
 def settings(distribution: str, middleware: str) -> dict[str, str]:
-    """Return the environment variables of the nodes: only those that docs/ros.md tells users to set."""
+    """Return the environment of the nodes: only the variables that docs/ros.md asks users to set."""
     found = {"RMW_IMPLEMENTATION": middleware, "ROS_DOMAIN_ID": str(DOMAIN)}
     if middleware == "rmw_cyclonedds_cpp":
         is_old = distribution == "humble"

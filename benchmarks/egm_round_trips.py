@@ -67,8 +67,8 @@ def round_trips(quick: bool) -> list[Table]:
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
         f"two cores) on its own core, both with real-time priority if permitted. Times are measured from just before "
         "a packet is sent to the kernel's stamp of its reply: median or 99th percentile of a block of "
-        f"{seconds:g} s, {rounds} alternating blocks per client, without the first second. Armlab's bridge records a "
-        "log. "
+        f"{seconds:g} s, {rounds} alternating blocks per client, without the first second. "
+        "Armlab's bridge records a log. "
         + ("" if LIBEGM in compiled else f"{LIBEGM} was not measured, because its sources were not given. ")
         + "Lower targets apply relative to the PyPI packages."
     )
