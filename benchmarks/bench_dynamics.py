@@ -26,6 +26,7 @@ def run(quick: bool) -> list[Table]:
     rng, arm = np.random.default_rng(3), robots.load(ROBOT)
     bodies = inertia.from_body(rng.uniform(1, 5, arm.n), rng.normal(scale=0.1, size=(arm.n, 3)), 0.02 * np.eye(3))
     robot = replace(arm, inertias=bodies)
+    single = robots.from_poe("single", [[0, 0, 0, 0, 0, 1]], np.eye(4), inertias=bodies[:1])
     peer = Pinocchio(robot, bodies)
     model, data = peer.model, peer.data
     q = rng.uniform(robot.q_min, robot.q_max, (CONFIGURATIONS, robot.n))
@@ -56,6 +57,12 @@ def run(quick: bool) -> list[Table]:
                 f"armlab dynamics.{ours.__name__}", loop(lambda row, call=ours: call(robot, *row), rows), "armlab"
             ),
             Contender("Pinocchio", loop(lambda row, call=theirs: call(model, data, *row), rows), bar=0.6, note=name),
+            Contender(
+                "armlab, a robot with one joint",
+                loop(lambda row, call=ours: call(single, *row), [[part[:1] for part in row] for row in rows]),
+                "armlab",
+                note="mostly the overhead of a call",
+            ),
         ]
         text = f"{ROBOT} with synthetic masses, {robot.n} joints, varying motions."
         tables.append(table(f"{title}, one call", text, "µs", contenders, 30 if quick else 200))

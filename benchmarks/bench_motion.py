@@ -26,6 +26,7 @@ def run(quick: bool) -> list[Table]:
     if not max(errors) < 5e-3:
         raise Disagreement(f"Expected motions within 5e-3 of the demonstration, got {errors}.")
     rounds = 5 if quick else 40
+    equations = np.random.default_rng(4).normal(size=(N, KERNELS + JOINTS))
     text = f"{JOINTS} coordinates x {N} samples, {KERNELS} kernels."
     accuracy = f"RMSE from the demonstration: armlab {errors[0]:.1e}, movement_primitives {errors[1]:.1e}."
     return [
@@ -37,6 +38,11 @@ def run(quick: bool) -> list[Table]:
                 Contender("armlab fit_dmp(method='acceleration')", _fit(t, y, method="acceleration"), "armlab"),
                 Contender("movement_primitives imitate", once(lambda: theirs.imitate(t, y)), bar=1 / 4),
                 Contender("movement_primitives imitate, ridge", once(lambda: _ridge(theirs, t, y)), bar=1 / 4),
+                Contender(
+                    "numpy.linalg.qr and svd of as many equations",
+                    once(lambda: np.linalg.svd(np.linalg.qr(equations, mode="r")[:KERNELS, :KERNELS])),
+                    "limit",
+                ),
             ],
             rounds,
         ),

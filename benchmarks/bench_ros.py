@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import NamedTuple
 
@@ -33,8 +34,8 @@ class Found(NamedTuple):
 
 def run(quick: bool) -> list[Table]:
     """Measure every path whose programs are installed, and a bare publisher of the same messages."""
-    seconds, bare = (3.0, 2.0) if quick else (6.0, 2.0)
-    found: dict[str, tuple[Found, Found | None]] = {}
+    seconds, rounds = (3.0, 1) if quick else (4.0, 3)
+    found: dict[str, list[tuple[Found, Found | None]]] = {}
     missing = []
     for name, make in WAYS.items():
         with ExitStack() as opened:
@@ -42,22 +43,22 @@ def run(quick: bool) -> list[Table]:
             if way is None:
                 missing.append(name)
             else:
-                found[name] = _served(way, seconds), _bare(way, bare)
+                found[name] = [(_served(way, seconds), _bare(way, seconds)) for _ in range(rounds)]
     text = (
         "Joint states and wrenches of one arm at 250 Hz (zenoh, plotjuggler, labcomm, local: rows) from a loop "
-        f"through the feed and a server process to a client process; {seconds:g} s, counted from 2 s after the "
-        "first message. If none of n messages is missing, the true share is at most 3/n with 95 % confidence. The "
-        f"latency is measured from the stamp of the row to the client's callback. For comparison, for {bare:g} s, a "
-        "bare publisher sends the same messages to the same client without the loop, the feed or armlab. Its delay is "
-        "that of the machine and the library. Processor time includes the server and all processes that it "
-        "started. All processes share the machine's cores."
+        f"through the feed and a server process to a client process; {rounds} runs of {seconds:g} s, counted from 2 s "
+        "after the first message. If none of n messages is missing, the true share is at most 3/n with 95 % "
+        "confidence. The latency is measured from the stamp of the row to the client's callback. For comparison, after "
+        "each run, a bare publisher sends the same messages to the same client for the same time without the loop, the "
+        "feed or armlab. Its delay is that of the machine and the library. Processor time includes the server and all "
+        "processes that it started. All processes share the machine's cores."
     )
     if missing:
         text += f" Not measured, because programs are missing: {', '.join(missing)}."
 
     def told(title: str, unit: str, bar: float | None, value: str, share: float = 50.0) -> Table:
         rows = [row for name, both in found.items() for row in _rows(name, both, bar, value, share)]
-        return Table(f"Paths: {title}", text, unit, tuple(rows), 1)
+        return Table(f"Paths: {title}", text, unit, tuple(rows), rounds)
 
     return [
         told("messages missing or out of order", "%", SHARE, "missing"),
@@ -68,27 +69,33 @@ def run(quick: bool) -> list[Table]:
 
 
 def _rows(
-    name: str, both: tuple[Found, Found | None], bar: float | None, value: str, share: float
+    name: str, runs: Sequence[tuple[Found, Found | None]], bar: float | None, value: str, share: float
 ) -> tuple[Figure, ...]:
     """Return the table rows of one path: armlab, and the bare publisher with the ratio of the two."""
-    values = [
-        float(np.percentile(one.got.latency, share) if value == "latency" else _plain(one, value))
-        for one in both
-        if one is not None
-    ]
-    note, judged = f"{both[0].got.received} of {both[0].got.due} messages, in order", value == "missing"
-    if len(values) == 2 and value == "latency":
-        note = f"{1e6 * (values[0] - values[1]):+.0f} µs relative to the bare publisher"
+    served = [ours for ours, _ in runs]
+    bare = [peer for _, peer in runs if peer is not None]
+    values = [_values(side, value, share) for side in (served, bare) if side]
+    counts = [_counts(side) for side in (served, bare) if side]
+    judged = value == "missing"
+    note = f"{counts[0]}, in order"
+    if bare and value == "latency":
+        note = f"{1e6 * np.median(np.subtract(*values)):+.0f} µs relative to the bare publisher"
     contenders = [Contender(name, lambda: np.zeros(0), "armlab", bar if judged else None, note)]
-    if both[1] is not None:
-        bare = f"{both[1].got.received} of {both[1].got.due} messages"
+    if bare:
         ratio = None if judged else bar
-        contenders.append(Contender(f"{name}: bare publisher", lambda: np.zeros(0), bar=ratio, note=bare))
-    return figures(contenders, [[np.array([one])] for one in values])
+        contenders.append(Contender(f"{name}: bare publisher", lambda: np.zeros(0), bar=ratio, note=counts[1]))
+    return figures(contenders, [[np.array([one]) for one in side] for side in values])
 
 
-def _plain(one: Found, value: str) -> float:
-    return one.cpu if value == "cpu" else one.got.missing
+def _values(runs: Sequence[Found], value: str, share: float) -> list[float]:
+    """Return the value of each run; the share of missing messages is that of all runs together."""
+    if value == "missing":
+        return [1.0 - sum(one.got.received for one in runs) / sum(one.got.due for one in runs)]
+    return [one.cpu if value == "cpu" else float(np.percentile(one.got.latency, share)) for one in runs]
+
+
+def _counts(runs: Sequence[Found]) -> str:
+    return f"{sum(one.got.received for one in runs)} of {sum(one.got.due for one in runs)} messages"
 
 
 def _served(way: Way, seconds: float) -> Found:

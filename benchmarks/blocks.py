@@ -45,9 +45,11 @@ class Contender:
 class Figure:
     """Measurements of one contender: spread over the blocks [s], and ratio of armlab's time to the contender's.
 
+    Ratios are medians and quartiles of the ratios within each round.
+
     Attributes
     ----------
-    over, multiple : for armlab, the contender to which its target refers, and the measured ratio.
+    over, multiple : for armlab, the contender to which its target refers, and the median ratio.
     """
 
     name: str
@@ -182,17 +184,15 @@ def figures(
 ) -> tuple[Figure, ...]:
     """Reduce each block with `statistic`, and return the spread over the rounds; the first contender is armlab."""
     values = np.array([[statistic(block) for block in blocks] for blocks in samples])
-    medians = np.median(values, axis=1)
-    named = {contender.name: median for contender, median in zip(contenders, medians, strict=True)}
+    named = {contender.name: blocks for contender, blocks in zip(contenders, values, strict=True)}
     found = []
-    for contender, blocks, median in zip(contenders, values, medians, strict=True):
-        lower, upper = np.percentile(blocks, (25, 75))
+    for contender, blocks in zip(contenders, values, strict=True):
+        lower, median, upper = np.percentile(blocks, (25, 50, 75))
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio_lower, ratio_upper = np.percentile(values[0] / blocks, (25, 75))
-            ratio = medians[0] / median
+            ratio_lower, ratio, ratio_upper = np.percentile(values[0] / blocks, (25, 50, 75))
+            multiple = float(np.median(blocks / named[contender.over])) if contender.over else 1.0
         spread = (median, blocks.min(), lower, upper, ratio, ratio_lower, ratio_upper)
         about = contender.name, contender.role, contender.note, contender.bar
-        multiple = float(median / named[contender.over]) if contender.over else 1.0
         found.append(Figure(*about, *map(float, spread), over=contender.over, multiple=multiple))
     return tuple(found)
 

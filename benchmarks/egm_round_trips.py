@@ -16,10 +16,12 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from blocks import Contender, Figure, Table, alternate, figures
 from identified import model
+from machine import stolen
 
 from armlab import models, robots
 from armlab.wire.egm import EgmCodec, Reference
@@ -31,6 +33,8 @@ PEERS = ("ABBRobotEGM", "abb_robot_client")
 LIBEGM, ECHO = "abb_libegm", "echo in C++"
 BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # relative to each PyPI package, p50 and p99
 OF_LIBEGM = {"ahead": 1.0, "spin": 0.8, "estimator": 1.2, "both": 1.3}
+FIRST = 1.0  # first reply of a session, relative to any other client's
+STATISTICS = {"p50": "", "p99": ", 99th percentile", "first": ", first packet of a session"}  # suffixes of the titles
 REPORTED = {
     "ahead": "armlab bridge, empty controller",
     "spin": 'armlab bridge, empty controller, wait="spin"',
@@ -39,43 +43,50 @@ REPORTED = {
 
 
 def round_trips(quick: bool) -> list[Table]:
-    """Measure at 250 Hz in alternating blocks, then two arms in one loop, and once the late replies at 1 kHz."""
+    """Measure at 250 Hz in alternating blocks, then two arms in one loop, and then the late replies at 1 kHz."""
     seconds, rounds = (3.0, 2) if quick else (3.0, 5)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.toml"
         robot = robots.load(ROBOT)
         models.save(model(robot, seconds=15), file)
         compiled = _compiled(Path(folder))
-        clients = [*REPORTED, *PEERS, *compiled]
 
-        def block(client: str) -> Callable[[], np.ndarray]:
-            program = compiled.get(client)
+        def measured(clients: list[str], seconds: float, period: float) -> dict[str, list[list[dict]]]:
+            """Return the statistics of each arm by client and round."""
+            kept: dict[str, list[list[dict]]] = {client: [] for client in clients}
 
-            def percentiles() -> np.ndarray:
-                measured = run(client, file, seconds, 0.004, program)[0]["round_trip_us"]
-                return 1e-6 * np.array([measured["p50"], measured["p99"]])
+            def block(client: str) -> Callable[[], np.ndarray]:
+                def measure() -> np.ndarray:
+                    kept[client].append(run(client, file, seconds, period, compiled.get(client)))
+                    return np.zeros(0)
 
-            return percentiles
+                return measure
 
-        contenders = [Contender(client, block(client)) for client in clients]
-        samples = alternate(contenders, rounds, warm=False)
-        both = _two_arms(file, seconds, rounds, compiled)
-        long = 5.0 if quick else 60.0
-        fast = ["ahead", "spin", *(client for client in compiled if client == ECHO)]
-        late = [_late(client, run(client, file, long, 0.001, compiled.get(client))[0]) for client in fast]
+            alternate([Contender(client, block(client)) for client in clients], rounds, warm=False)
+            return kept
+
+        single = measured([*REPORTED, *PEERS, *compiled], seconds, 0.004)
+        both = measured(["both", "ahead", *(client for client in compiled if client == LIBEGM)], seconds, 0.004)
+        long = 5.0 if quick else 20.0
+        fast = measured(["ahead", "spin", *(client for client in compiled if client == ECHO)], long, 0.001)
     text = (
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
         f"two cores) on its own core, both with real-time priority if permitted. Times are measured from just before "
         "a packet is sent to the kernel's stamp of its reply: median or 99th percentile of a block of "
-        f"{seconds:g} s, {rounds} alternating blocks per client, without the first second. "
-        "Armlab's bridge records a log. "
+        f"{seconds:g} s without the first second, or the first reply of the block; {rounds} alternating blocks per "
+        "client. Armlab's bridge records a log. The echo has no target, because it neither decodes nor checks. "
         + ("" if LIBEGM in compiled else f"{LIBEGM} was not measured, because its sources were not given. ")
         + "Lower targets apply relative to the PyPI packages."
     )
-    slow = f"Replies of a run of {long:g} s at 1 kHz that took longer than a period."
-    chosen = [(way, number) for number in (0, 1) for way in REPORTED]
-    tables = (_table(way, number, text, clients, contenders, samples, rounds) for way, number in chosen)
-    return [*tables, both, Table("EGM at 1 kHz: late replies", slow, "%", tuple(late), 1)]
+    tables = [_single(way, statistic, text, single, rounds) for statistic in STATISTICS for way in REPORTED]
+    tables += [_two_arms(statistic, both, seconds, rounds) for statistic in ("p50", "p99")]
+    slow = (
+        f"Packets at 1 kHz whose reply had not arrived when the next packet left, in {rounds} alternating runs of "
+        f"{long:g} s per client; *longest* is the longest round trip. "
+        "Stolen time is the processor time that the virtual machine did not get during the run, summed over the cores."
+    )
+    late = tuple(_late(client, runs) for client, runs in fast.items())
+    return [*tables, Table("EGM at 1 kHz: late replies", slow, "%", late, rounds)]
 
 
 def _compiled(folder: Path) -> dict[str, list[str]]:
@@ -99,32 +110,11 @@ def _compiled(folder: Path) -> dict[str, list[str]]:
     return found
 
 
-def _two_arms(file: Path, seconds: float, rounds: int, compiled: dict[str, list[str]]) -> Table:
-    """Return the round trips of a robot's two arms, which send simultaneously, compared with those of one arm."""
-
-    def block(client: str) -> Callable[[], np.ndarray]:
-        program = compiled.get(client)
-        return lambda: np.array(
-            [1e-6 * one["round_trip_us"]["p50"] for one in run(client, file, seconds, 0.004, program)]
-        )
-
-    contenders = [
-        Contender("each of two arms in one loop", block("both"), "armlab"),
-        Contender("one arm", block("ahead"), "limit", bar=OF_LIBEGM["both"]),
-    ]
-    if LIBEGM in compiled:
-        contenders.append(Contender(f"{LIBEGM}, one arm", block(LIBEGM), bar=OF_LIBEGM["both"]))
-    text = (
-        f"`armlab sim {' '.join(BOTH)}` and one bridge with an empty controller, which is called for the packets of "
-        f"the first arm. Both packets are sent simultaneously. Mean of the arms' medians over blocks of {seconds:g} s, "
-        f"{rounds} alternating blocks each."
-    )
-    samples = alternate(contenders, rounds, warm=False)
-    return Table("EGM round trip, two arms", text, "µs", figures(contenders, samples, np.mean), rounds)
-
-
 def run(client: str, file: Path, seconds: float, period: float, program: list[str] | None = None) -> list[dict]:
-    """Return the simulator's statistics per arm with one client; `program`: command of a compiled client."""
+    """Return the simulator's statistics per arm with one client, and the time stolen from the machine [s].
+
+    `program` is the command of a compiled client.
+    """
     arms = BOTH if client == "both" else (ROBOT,)
     ports = [_free_port() for _ in arms]
     stats = file.parent / "stats.json"
@@ -139,6 +129,7 @@ def run(client: str, file: Path, seconds: float, period: float, program: list[st
     with started as peer:
         if peer.stdout is None or peer.stdout.readline() != "ready\n":
             raise RuntimeError(f"Expected {client} to listen on port {ports}, got {peer.communicate()[1]}.")
+        before = stolen()
         with _on_core(0, PRIORITY):
             subprocess.run(
                 [
@@ -150,7 +141,7 @@ def run(client: str, file: Path, seconds: float, period: float, program: list[st
                 capture_output=True,
             )
         peer.kill()  # otherwise, it would wait for more packets
-    return list(json.loads(stats.read_text()).values())
+    return [{**one, "stolen": stolen() - before} for one in json.loads(stats.read_text()).values()]
 
 
 def _free_port() -> int:
@@ -175,24 +166,59 @@ def _on_core(number: int, priority: int = 0) -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _late(client: str, counted: dict) -> Figure:
-    """Return the percentage of packets without a reply within one period."""
-    share = 100.0 * counted["counts"].get("missed", 0) / max(counted["counts"]["packets"], 1)
+def _late(client: str, runs: list[list[dict]]) -> Figure:
+    """Return the percentage of packets without a reply within one period, over all runs."""
+    arms = [arm for one in runs for arm in one]
+    missed, packets = (sum(arm["counts"].get(name, 0) for arm in arms) for name in ("missed", "packets"))
+    by_run = ", ".join(str(arm["counts"].get("missed", 0)) for arm in arms)
+    longest, stolen = max(arm["round_trip_us"]["max"] for arm in arms), 1e3 * sum(arm["stolen"] for arm in arms)
+    note = f"{by_run} of {packets // len(arms)} late; longest {1e-3 * longest:.3g} ms; {stolen:.0f} ms stolen"
     kind = ("armlab", 0.0) if client in REPORTED else ("limit", None)
-    contender = Contender(REPORTED.get(client, client), lambda: np.zeros(0), *kind)
-    return figures([contender], [[np.array([share])]])[0]
+    contender = Contender(REPORTED.get(client, client), lambda: np.zeros(0), *kind, note=note)
+    return figures([contender], [[np.array([missed / packets])]])[0]
+
+
+def _single(way: str, statistic: str, text: str, runs: dict[str, list[list[dict]]], rounds: int) -> Table:
+    """Return the table of one statistic for one bridge mode and the peers."""
+    bars = {ECHO: None, LIBEGM: OF_LIBEGM[way], **dict.fromkeys(PEERS, BARS[way])}
+    if statistic == "first":
+        bars |= dict.fromkeys((LIBEGM, *PEERS), FIRST)
+    rows = [_row(REPORTED[way], way, 0, "armlab")]
+    rows += [_row(peer, peer, 0, "limit" if peer == ECHO else "peer", bars[peer]) for peer in runs if peer in bars]
+    title = f"EGM round trip, {REPORTED[way].removeprefix('armlab ')}{STATISTICS[statistic]}"
+    return _table(title, text, statistic, rows, runs, rounds)
+
+
+def _two_arms(statistic: str, runs: dict[str, list[list[dict]]], seconds: float, rounds: int) -> Table:
+    """Return the table of one statistic for a robot's two arms, which send simultaneously, and for one arm."""
+    alone, bar = "one arm", OF_LIBEGM["both"]
+    over = f"{LIBEGM}, {alone}" if LIBEGM in runs else alone
+    rows = [_row(f"{arm}, one of two arms", "both", k, "armlab", bar, over) for k, arm in enumerate(BOTH)]
+    rows.append(_row(alone, "ahead", 0, "limit"))
+    rows += [_row(over, LIBEGM, 0, "peer")] if LIBEGM in runs else []
+    text = (
+        f"`armlab sim {' '.join(BOTH)}` and one bridge with an empty controller, which is called for the packets of "
+        f"the first arm. Both packets are sent simultaneously. Blocks of {seconds:g} s, {rounds} alternating blocks "
+        "each."
+    )
+    return _table(f"EGM round trip, two arms{STATISTICS[statistic]}", text, statistic, rows, runs, rounds)
+
+
+def _row(
+    name: str, client: str, arm: int, role: Any, bar: float | None = None, over: str = ""
+) -> tuple[Contender, str, int]:
+    return Contender(name, lambda: np.zeros(0), role, bar, over=over), client, arm
 
 
 def _table(
-    way: str, number: int, text: str, clients: list[str], contenders: list[Contender], samples: list, rounds: int
+    title: str,
+    text: str,
+    statistic: str,
+    rows: list[tuple[Contender, str, int]],
+    runs: dict[str, list[list[dict]]],
+    rounds: int,
 ) -> Table:
-    """Return the table of the median (0) or 99th percentile (1) for one bridge mode, with the peers."""
-    chosen = [way, *PEERS, *(client for client in clients if client in (LIBEGM, ECHO))]
-    bars = {**dict.fromkeys(PEERS, BARS[way]), LIBEGM: OF_LIBEGM[way], ECHO: None}
-    named = [Contender(REPORTED[way], contenders[0].block, "armlab")]
-    named += [
-        Contender(peer, contenders[0].block, "limit" if peer == ECHO else "peer", bars[peer]) for peer in chosen[1:]
+    samples = [
+        [np.array([1e-6 * one[arm]["round_trip_us"][statistic]]) for one in runs[client]] for _, client, arm in rows
     ]
-    blocks = [samples[clients.index(client)] for client in chosen]
-    title = f"EGM round trip, {REPORTED[way].removeprefix('armlab ')}{', 99th percentile' if number else ''}"
-    return Table(title, text, "µs", figures(named, blocks, lambda block: block[number]), rounds)
+    return Table(title, text, "µs", figures([contender for contender, _, _ in rows], samples), rounds)

@@ -85,13 +85,22 @@ class OtherLoad:
         self.cores = max(0.0, (busy - own) / wall)
 
 
+def stolen() -> float:
+    """Return the processor time [s] since boot that the hypervisor gave to others, summed over the cores."""
+    return _ticks()[7]
+
+
 def _clocks() -> tuple[float, float, float]:
     """Return the busy time [s] of all cores since boot, of this process with its children, and the wall-clock time."""
-    ticks = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
-    user, nice, system, _idle, _iowait, irq, softirq, steal = ticks
+    user, nice, system, _idle, _iowait, irq, softirq, steal = _ticks()
     own = os.times()
-    busy = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
-    return busy, sum(own[:4]), own.elapsed
+    return user + nice + system + irq + softirq + steal, sum(own[:4]), own.elapsed
+
+
+def _ticks() -> list[float]:
+    """Return the first eight times [s] of all cores since boot, in the order of /proc/stat."""
+    words = Path("/proc/stat").read_text().splitlines()[0].split()[1:9]
+    return [int(word) / os.sysconf("SC_CLK_TCK") for word in words]
 
 
 def _is_here(package: str) -> bool:

@@ -17,8 +17,8 @@ SHARED = 0.1  # cores; above this, the report warns
 METHOD = """\
 Contenders run in short blocks that alternate in random order, in one process and on the same data, after a check that
 they compute the same results. A time is the median over the blocks, with the minimum and the quartiles. The ratio is
-armlab's median time divided by the contender's; smaller is better. Its range is given by the quartiles of the ratios
-between blocks of the same round. Times of loops, batches and imports are processor time, which excludes waiting for a
+armlab's time divided by the contender's in the same round, with the median and quartiles over the rounds; smaller is
+better. Times of loops, batches and imports are processor time, which excludes waiting for a
 core; times of single steps are wall-clock time. A target is the largest ratio that the project allows, relative to a
 contender of the same run; times have no targets. Rows in bold are armlab; rows in italics are limits of the machine.
 """

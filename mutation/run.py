@@ -51,6 +51,8 @@ FILES = {  # file: its tests
     f"{BRIDGE}/arbiter.py": ["bridge/arbiter", "bridge/servers/ros/actions"],
     f"{BRIDGE}/control/loop.py": ["bridge/control/loop", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/feedback"],
+    f"{BRIDGE}/control/feedback.py": ["bridge/control/feedback"],
+    f"{BRIDGE}/control/external_axes.py": ["bridge/control/commands"],
     f"{BRIDGE}/control/arm.py": [
         "bridge/control/arm",
         "bridge/control/multi_arm",

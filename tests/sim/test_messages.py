@@ -185,6 +185,7 @@ def test_the_first_second_is_not_counted() -> None:
     assert data["counts"] == {"missed": 2, "overruns": 2}
     assert (data["wake_up_late_us"]["max"], data["work_us"]["max"]) == pytest.approx((2500.0, 2500.0))
     assert (data["round_trip_us"]["p50"], data["round_trip_us"]["max"]) == pytest.approx((2.0, 2.5))
+    assert data["round_trip_us"]["first"] == pytest.approx(0.5), "the only time that includes the first second"
 
 
 def test_everything_is_plain_json_and_text() -> None:

@@ -121,8 +121,7 @@ class ProMP(Saved, kind="promp"):
         """
         times = self._times(t, duration)
         psi, rate = self.kernels(times, duration)
-        blocks = self.cov.reshape(self.n, len(self.centres), self.n, len(self.centres))
-        spread, speed = (_spread(rows, blocks) for rows in (psi, rate))
+        spread, speed = np.split(_spread(np.concatenate([psi, rate]), self.cov), 2)
         return TrajectoryDistribution(times, psi @ self.mean, rate @ self.mean, spread, speed)
 
     def sample(
@@ -222,10 +221,13 @@ class ProMP(Saved, kind="promp"):
         return ProMP(mean, 0.5 * (cov + cov.T), self.centres, self.widths, self.duration, self.noise)
 
 
-def _spread(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Return ``sum_ab rows_ta blocks_iajb rows_tb`` (N, n, n)."""
-    half = np.tensordot(rows, blocks, (1, 1))
-    return (half.reshape(len(rows), -1, rows.shape[1]) @ rows[:, :, None]).reshape(half.shape[:3])
+def _spread(rows: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Return ``sum_ab rows_ta cov_iajb rows_tb`` (N, n, n) for rows (N, m) and cov (n m, n m)."""
+    m = rows.shape[1]
+    n = len(cov) // m
+    pairs = (rows[:, :, None] * rows[:, None, :]).reshape(-1, m * m)
+    blocks = cov.reshape(n, m, n, m).transpose(1, 3, 0, 2).reshape(m * m, n * n)
+    return (pairs @ blocks).reshape(-1, n, n)
 
 
 def _coordinates(value: Sequence[int], n: int) -> np.ndarray:

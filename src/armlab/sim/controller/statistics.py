@@ -32,7 +32,8 @@ class Statistics:
     A starved cycle is a cycle that finds the queue empty. Overtaken replies were replaced by newer replies. Skipped
     cycles are cycles without a packet; overruns are skipped cycles caused by this process. Missed packets had no valid
     reply within one period. Duplicates repeat the number of the previous reply. The age of a reply is the number of
-    cycles from its packet to its use, at least 1. Times, misses and overruns exclude the first second.
+    cycles from its packet to its use, at least 1. Times, misses and overruns exclude the first second, except for the
+    first round trip, which is reported separately.
     """
 
     def __init__(self) -> None:
@@ -45,12 +46,15 @@ class Statistics:
         self.rapid: dict[str, float] = {}
         self.external: dict[str, float] = {}
         self.events: deque[ControllerEvent] = deque(maxlen=1000)
+        self._first_trip: float | None = None
         self._round_trips: deque[float] = deque(maxlen=_KEPT)
         self._wake_ups: deque[float] = deque(maxlen=_KEPT)
         self._work: deque[float] = deque(maxlen=_KEPT)
 
     def trip(self, seconds: float, uptime: float) -> None:
         """Record a round-trip time [s], from just before sending to the kernel's time stamp of the reply."""
+        if self._first_trip is None:
+            self._first_trip = seconds
         if uptime > _WARM_UP:
             self._round_trips.append(seconds)
 
@@ -81,13 +85,14 @@ class Statistics:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all statistics as numbers for JSON, with times in microseconds."""
+        first = {} if self._first_trip is None else {"first": round(1e6 * self._first_trip, 1)}
         return {
             "counts": {name: count for name, count in sorted(self.counts.items()) if count},
             "drops": dict(sorted(self.drops.items())),
             "mtypes": {str(k): v for k, v in sorted(self.mtypes.items())},
             "queue_depth": {str(k): v for k, v in sorted(self.queue.items())},
             "reference_age": {str(k): v for k, v in sorted(self.age.items())} | {"last": self.last_age},
-            "round_trip_us": _quantiles(self._round_trips),
+            "round_trip_us": first | _quantiles(self._round_trips),
             "wake_up_late_us": _quantiles(self._wake_ups),
             "work_us": _quantiles(self._work),
             "rapid": self.rapid,
