@@ -79,7 +79,7 @@ docs: $(STAMP)  ## build the documentation into docs/_build, from scratch: nothi
 	rm -rf docs/_build docs/_figures
 	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs docs/_build/html
 
-bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment), half an hour
+bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment), 50 minutes
 	$(BIN)/python benchmarks/run.py
 
 FUZZ_SECONDS ?= 600

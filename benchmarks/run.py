@@ -1,6 +1,6 @@
 """Run the benchmarks of armlab and its peers, and write a report.
 
-    python benchmarks/run.py                   all benchmarks, half an hour on an idle machine with two cores
+    python benchmarks/run.py                   all benchmarks, 50 minutes on an idle machine with two cores
     python benchmarks/run.py --only pose       one benchmark
     python benchmarks/run.py --quick           quick look
     python benchmarks/run.py --publish         also write the two pages and the picture in docs, and the baseline
