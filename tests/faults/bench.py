@@ -303,7 +303,7 @@ class Bench:
         yield
         self._loop = None
 
-    def _enter(self, stack: Any, loop: Any, on_event: Any, wait: str) -> None:
+    def _enter(self, stack: Any, loop: Any, on_event: Any, waiting: Any) -> None:
         stack.enter_context(self._guarded(loop))
 
     def _advance(self, until: float) -> None:

@@ -396,7 +396,8 @@ class Link:
         seconds : float, s
             Duration of the run: robot time under guidance or, without a controller, from the first packet.
         wait : str
-            "ahead" polls just before each expected packet, "block" sleeps, and "spin" polls continuously.
+            "ahead" polls just before each expected packet, "block" sleeps, and "spin" polls continuously and needs a
+            free core.
         limits : Limits or sequence of Limits
             Limits of the references sent, one per arm; default: `Limits.of(robot)`.
         reconnect : str
@@ -489,7 +490,7 @@ class Link:
                 if settings.clock != "robot":
                     for arm in arms if controller is not None else ():  # a listener keeps earlier packets
                         arm.port.flush()
-                    _enter_real_time(stack, loop, arms[0].recording.event, wait)
+                    _enter_real_time(stack, loop, arms[0].recording.event, waiting)
                 loop.run()
         finally:
             self.last = run = finished(arms, loop.reason or "interrupted", feeds)
@@ -534,9 +535,8 @@ def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
     return failure
 
 
-def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
-    """Start the watchdog; raise the thread priority unless wait="spin", which never yields."""
+def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, waiting: Waiting) -> None:
+    """Start the watchdog and raise the priority of this thread."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
-    if wait != "spin":
-        stack.enter_context(priority(LOOP_PRIORITY, on_event))
+    waiting.is_permitted = stack.enter_context(priority(LOOP_PRIORITY, on_event))

@@ -94,15 +94,15 @@ def test_a_longer_switch_interval_is_restored() -> None:
 
 def test_priority_is_that_of_the_calling_thread_and_not_inherited(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[object, ...]] = []
-    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: ("policy", pid))
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: os.SCHED_BATCH)
     monkeypatch.setattr(os, "sched_getparam", lambda pid: ("parameters", pid))
     monkeypatch.setattr(os, "sched_setscheduler", lambda *given: calls.append(given))
     with priority(50, pytest.fail) as raised:
         assert raised
     assert calls == [
         (0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(50)),
-        (0, ("policy", 0), ("parameters", 0)),
-    ]
+        (0, os.SCHED_BATCH | os.SCHED_RESET_ON_FORK, ("parameters", 0)),
+    ], "a user with an rtprio limit but without CAP_SYS_NICE may not clear the flag, and would keep the priority"
 
 
 def test_a_priority_that_is_not_permitted_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +118,7 @@ def test_a_priority_that_is_not_permitted_is_reported(monkeypatch: pytest.Monkey
 
 
 def test_priority_is_raised_or_told_and_given_back() -> None:
-    before, told, inherited = os.sched_getscheduler(0), [], []
+    before, told, inherited = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, [], []
     assert GUARD_PRIORITY > LOOP_PRIORITY
     with priority(LOOP_PRIORITY, lambda text, warn=False: told.append(text)) as raised:
         assert raised == (not told)
@@ -249,6 +249,30 @@ def test_a_cycle_runs_dry_once_before_each_predicted_packet(
         )
         assert runs == ([] if mode == "block" else [before])
         runs.clear()
+
+
+@pytest.mark.parametrize("mode", get_args(Wait))
+@pytest.mark.parametrize("is_permitted", [True, False])
+def test_a_loop_that_always_polls_has_real_time_priority_only_near_packets(
+    port: Port, mode: Wait, is_permitted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise, it would block the other threads of its core; without the priority, they would delay replies."""
+    now, prediction, levels = [0], Prediction(), list[tuple[int, int]]()
+
+    def wait(sockets: list[int], poll_ns: int, end_ns: int) -> None:
+        now[0] = end_ns
+
+    monkeypatch.setattr("armlab.bridge.control.realtime.time", SimpleNamespace(monotonic_ns=lambda: now[0]))
+    monkeypatch.setattr("armlab.bridge.control.realtime.set_priority", lambda level: levels.append((now[0], level)))
+    monkeypatch.setattr("armlab.kernels.await_datagram", wait)
+    waiting = Waiting([port], [prediction], mode)
+    waiting.is_permitted = is_permitted
+    for _ in range(2):
+        assert waiting.next(0.001) is None
+    prediction.next_ns = now[0] + 10.0 * MS
+    begin, end = int(prediction.next_ns - 0.4 * MS), int(prediction.next_ns + 0.6 * MS)
+    assert waiting.next(0.02) is None
+    assert levels == ([(0, 0), (begin, LOOP_PRIORITY), (end, 0)] if mode == "spin" and is_permitted else [])
 
 
 def test_the_end_is_kept_and_a_wait_that_returns_early_goes_on(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:

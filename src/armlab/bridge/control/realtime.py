@@ -20,6 +20,7 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
 
 LOOP_PRIORITY, GUARD_PRIORITY = 50, 55
+_NOT_INHERITED = getattr(os, "SCHED_RESET_ON_FORK", 0)  # only CAP_SYS_NICE may clear this flag, so it stays set
 _SWITCH_INTERVAL = 5e-4  # s; with Python's default of 5 ms, a busy controller would delay the watchdog by a cycle
 _DUE = 700  # number of new objects after which the youngest generation is collected
 
@@ -62,7 +63,7 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
     """Run the calling thread under SCHED_FIFO if permitted; child processes do not inherit this priority."""
     try:
         before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        set_priority(level)
     except (OSError, AttributeError) as error:
         on_event(
             f"The loop runs at normal priority, because real-time scheduling is not permitted ({error}). On a busy "
@@ -74,7 +75,13 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
         yield True
     finally:
         with suppress(OSError):
-            os.sched_setscheduler(0, before, parameters)
+            os.sched_setscheduler(0, before | _NOT_INHERITED, parameters)
+
+
+def set_priority(level: int) -> None:
+    """Run the calling thread under SCHED_FIFO, or with normal priority if the level is 0."""
+    policy = os.SCHED_FIFO if level else os.SCHED_OTHER
+    os.sched_setscheduler(0, policy | _NOT_INHERITED, os.sched_param(level))
 
 
 @contextmanager
@@ -126,7 +133,11 @@ class Prediction:
 
 
 class Waiting:
-    """Waits for datagrams on all ports of a link and calls `dry_run` before each predicted arrival."""
+    """Waits for datagrams on all ports of a link and calls `dry_run` before each predicted arrival.
+
+    If real-time priority `is_permitted`, a thread that polls all the time ("spin") has it only from shortly before a
+    predicted arrival until it waits for the next one, because it would otherwise never yield its core.
+    """
 
     def __init__(
         self,
@@ -137,6 +148,7 @@ class Waiting:
     ) -> None:
         self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
         self._dry_run, self._dry_for = dry_run, 0.0
+        self.is_permitted, self._is_urgent = False, True
 
     def next(self, seconds: float = 0.0) -> tuple[int, Arrival] | None:
         end = time.monotonic_ns() + int(1e9 * seconds)
@@ -152,16 +164,22 @@ class Waiting:
                 return None
             poll, until = (now if self._mode == "spin" else end), end
             soonest = None if self._mode == "block" else self._soonest(now)
+            if self.is_permitted and self._mode == "spin":
+                self._prioritise(soonest is not None and now >= soonest - _AHEAD)
             if soonest is not None and soonest + _AFTER < end:
                 begin = soonest - _AHEAD
                 poll, until = min(poll, begin), soonest + _AFTER
-                if self._dry_run is not None and self._dry_for != soonest:
-                    if now < begin:
-                        until = begin
-                    else:
-                        self._dry_for = soonest
-                        self._dry_run()
+                if now < begin:
+                    until = begin
+                elif self._dry_run is not None and self._dry_for != soonest:
+                    self._dry_for = soonest
+                    self._dry_run()
             kernels.await_datagram([port.fileno() for _, port in self._ports], int(poll), int(until))
+
+    def _prioritise(self, urgent: bool) -> None:
+        if urgent != self._is_urgent:
+            self._is_urgent = urgent
+            set_priority(LOOP_PRIORITY if urgent else 0)
 
     def _soonest(self, now: int) -> float | None:
         """Return the earliest predicted arrival that has not yet passed."""

@@ -143,7 +143,7 @@ def real_time() -> Finding:
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Report the CPU share of real-time threads; wait="spin" never yields the CPU, so this mode would need 100 %."""
+    """Report the CPU share of real-time threads."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())
