@@ -70,6 +70,8 @@ def _panel(axes: Axes, rows: Mapping[str, Sequence[Dot]], title: str) -> None:
     dots = [dot for some in rows.values() for dot in some]
     axes.axvline(1.0, color=LINE, linewidth=0.8)
     axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    axes.set_xlim(low, high * (high / low) ** 0.25)  # room for the names on the right
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_yticks(range(len(rows)), list(rows), fontsize=6.5)
     axes.set_title(f"{title}; left of 1 is better: {sum(dot.good for dot in dots)} of {len(dots)}", fontsize=8)

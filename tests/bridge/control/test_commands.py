@@ -477,6 +477,67 @@ def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -
         external.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)
 
 
+def test_feedback_of_external_axes_is_plausible_near_the_range_and_near_the_last_position(robot: Robot) -> None:
+    """At most 0.1 outside; a step of at most 0.02 plus twice the speed limit times the time since the last."""
+    limits, here = Limits.of_axes([-1.0, -2.0], [1.0, 2.0], [0.25, 0.5]), packet(robot)
+    reach = 0.02 + 2.0 * limits.qd_max * 1.0
+    for start, limit, beyond in (
+        (limits.q_max, limits.q_max + 0.1, 9.0),
+        (limits.q_min, limits.q_min - 0.1, -9.0),
+        (np.zeros(2), reach, 9.0),
+        (np.zeros(2), -reach, -9.0),
+    ):
+        for q_ext, words in ((limit, ""), (np.nextafter(limit, beyond), "This feedback is ignored.")):
+            external = ExternalReferences(limits, ABLE)
+            assert external.observe(here._replace(q_ext=start), T) == ""
+            assert external.observe(here._replace(q_ext=q_ext), 1.0)[-25:] == words
+    far = here._replace(q_ext=np.array([9.0, 0.0]))
+    assert external.observe(far, T) == "", "only the first of several is reported"
+    external.observe(here._replace(q_ext=-reach * 1.01), 0.1)
+    assert external.observe(far, T), "the step was plausible, because the last plausible packet was 1.104 s before it"
+    assert ExternalReferences(AXES, ABLE).observe(packet(robot, ()), T) == "", "a robot without external axes"
+
+
+def test_external_axes_without_limits_stay_at_rest(robot: Robot) -> None:
+    external, here = ExternalReferences(None, ABLE), packet(robot)
+    assert external.observe(here, T) == ""
+    assert external.at_rest
+    external.memory = external.memory
+    assert external.memory == (False, False, None)
+
+
+def test_external_axes_wait_for_three_plausible_packets(robot: Robot) -> None:
+    external, here = ExternalReferences(AXES, ABLE), packet(robot)._replace(q_ext=np.zeros(2))
+    first = Command(q_ext=AXES.entry)
+    for _ in range(3):
+        with pytest.raises(CommandRefused, match="three times in a row"):
+            external.follow(first, here, T, T)
+        external.observe(here, T)
+    assert external.follow(Command(), here, T, T) is external.rest(here) is None, "no motion was commanded"
+    for _ in range(20):
+        assert external.follow(first, here, T, T) is not None
+    memory = external.memory
+    found = [external.follow(first, here, T, T) for _ in range(2)]
+    external.memory = memory
+    again = [external.follow(first, here, T, T) for _ in range(2)]
+    np.testing.assert_array_equal([one.qd_ext for one in found if one], [one.qd_ext for one in again if one])
+    assert not external.at_rest
+    external.begin()
+    assert external.at_rest, "they are disabled"
+
+
+def test_rapid_data_are_sent_with_or_without_a_motion_of_the_axes(robot: Robot) -> None:
+    external, here = seen(AXES, robot)
+    found = external.follow(Command(rapid_data=np.arange(40.0)), here, T, T) or Beside()
+    np.testing.assert_array_equal(found.rapid_data, np.arange(40.0))
+    assert not found.rapid_data.flags.writeable
+    assert found.q_ext is None
+    external.follow(Command(q_ext=here.q_ext), here, T, T)
+    found = external.follow(Command(rapid_digital=True), here, T, T) or Beside()
+    assert found.rapid_digital is True
+    np.testing.assert_array_equal(found.q_ext, here.q_ext)
+
+
 def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: Any, robot: Robot) -> None:
     machine, cycle = moving(feed, robot, 0)
     here = np.array([0.3, -0.2])

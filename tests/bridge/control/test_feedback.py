@@ -133,6 +133,94 @@ def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
     assert "following error" in check.check(middle - 0.16, T, moving)
 
 
+@pytest.mark.parametrize("begin", ["new", "begun again", "nothing sent"])
+def test_the_larger_lag_ends_a_second_after_guidance_begins(robot: Robot, begin: str) -> None:
+    middle = (robot.q_min + robot.q_max) / 2
+    check, rest = FeedbackCheck(robot, Limits.of(robot)), Limiter(Limits.of(robot)).rest(middle)
+    moving = rest._replace(qd=np.full(7, 1.0))
+
+    def lags() -> bool:
+        return check.check(middle - 0.39, 0.1, moving) == ""
+
+    if begin != "new":
+        for _ in range(3):
+            assert check.check(middle, 0.5, moving) == ""
+        assert not lags()
+    if begin == "begun again":
+        check.begin()
+    if begin == "nothing sent":
+        assert check.check(middle, 0.0, None) == ""
+    assert lags()
+    for dt in (0.1, 0.5, 0.3):
+        assert check.check(middle, dt, rest) == ""
+    assert check.check(middle - 0.39, 0.1, rest) == "", "exactly a second; the speed is not forgotten during this time"
+    assert check.check(middle, 0.1, moving) == ""
+    assert not lags()
+
+
+def test_the_lag_allowed_for_speed_decays_when_the_reference_stops(robot: Robot) -> None:
+    """Time constant 0.2 s: half of the lag remains after a cycle of 0.1 s."""
+    middle = (robot.q_min + robot.q_max) / 2
+    for error, words in ((0.1249, ""), (0.1251, f"joint 1 ({robot.joint_names[0]}) within 0.125 of its reference")):
+        check, rest = FeedbackCheck(robot, Limits.of(robot)), Limiter(Limits.of(robot)).rest(middle)
+        for _ in range(3):
+            assert check.check(middle, 0.5, rest._replace(qd=np.full(7, 1.0))) == ""
+        found = check.check(middle - error * np.eye(7)[0], 0.1, rest)
+        assert words in found
+        assert bool(words) == bool(found)
+
+
+def test_feedback_that_does_not_change_is_called_frozen_after_a_tenth_of_a_second(robot: Robot) -> None:
+    middle = (robot.q_min + robot.q_max) / 2
+    away = Limiter(Limits.of(robot)).rest(middle + 0.2)
+    for steps, words in (
+        ([0.1], "Usual causes are a collision"),
+        ([0.1, 0.15], "not changed for 0.25 s: it is frozen"),
+    ):
+        check = FeedbackCheck(robot, Limits.of(robot))
+        check.check(middle, 0.1, None)
+        assert words in [check.check(np.array(middle), dt, away) for dt in steps][-1]
+    check.check(middle + 0.01, T, None)
+    assert "Usual causes" in check.check(middle + 0.02, T, away), "it changes"
+
+
+def test_the_largest_plausible_step(robot: Robot) -> None:
+    """0.02 rad plus twice the speed limit, from the last plausible position."""
+    middle, axis = (robot.q_min + robot.q_max) / 2, np.eye(7)[2]
+    reach = 0.02 + 2.0 * robot.qd_max[2] * 0.012
+    for step, is_plausible in ((0.999 * reach, True), (1.001 * reach, False)):
+        check = FeedbackCheck(robot, Limits.of(robot))
+        for _ in range(READY_AFTER):
+            assert not check.confirmed
+            assert check.check(middle, T, None) == ""
+        assert check.confirmed
+        assert check.check(middle - 1.5 * axis, 0.004, None)
+        np.testing.assert_array_equal(check.q, middle)
+        found = check.check(middle + step * axis, 0.008, None)
+        assert (found == "") == is_plausible
+        assert check.plausible == is_plausible
+        if not is_plausible:
+            assert f"joint 3 ({robot.joint_names[2]}) to change no faster" in found
+            assert f"from {middle[2]:.4f} to {middle[2] + step:.4f} in 12.0 ms" in found
+
+
+def test_positions_that_contradict_each_other_at_the_start_are_not_trusted(robot: Robot) -> None:
+    middle, first = (robot.q_min + robot.q_max) / 2, np.eye(7)[0]
+    check = FeedbackCheck(robot, Limits.of(robot))
+    check.check(middle, T, None)
+    for q in (middle + 0.5 * first, middle + 1.0 * first):
+        assert "to change no faster" in check.check(q, T, None)
+        np.testing.assert_array_equal(check.q, q)
+    q = check.q
+    outside = np.where(first, robot.q_max + 0.2, middle)
+    assert "joint 1" in check.check(outside, T, None)
+    assert check.q is q, "it is no position of this robot"
+    away = Limiter(Limits.of(robot)).rest(middle)
+    assert "following error" in check.check(q - 0.01 * first, T, away)
+    assert check.q is not q
+    assert (check.plausible, check.confirmed) == (0, False)
+
+
 def test_an_arm_slightly_outside_is_held_at_its_limit_and_led_back(robot: Robot) -> None:
     bench = Follower(robot)
     bench.q = np.array(robot.q_home)
@@ -163,6 +251,10 @@ def test_the_following_error_is_that_of_the_axes() -> None:
     apart = robot.q_home + np.array([0, 0.06, 0.06, 0, 0, 0])
     assert check.check(robot.q_home, T, None) == ""
     assert "joint 3" in FeedbackCheck(robot, Limits.of(robot)).check(apart, T, sent)
+    bent = robot.q_home + np.array([0, 0.5, 0.2, 0, 0, 0])
+    check = FeedbackCheck(robot, Limits.of(robot))
+    assert check.check(bent, T, Limiter(Limits.of(robot)).rest(bent)) == ""
+    assert "to change no faster" in check.check(robot.q_home, T, None)
 
 
 def packet(packets: Any, **fields: Any) -> Packet:
@@ -200,6 +292,19 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
     readiness.begin()  # a new session starts without known states
     assert "the packets contain no motor state" in readiness.not_ready_reason(packet(packets, motors=None))
+
+
+def test_the_state_becomes_unknown_only_if_the_robot_was_ready(packets: Any) -> None:
+    readiness = Readiness()
+    for _ in range(4):
+        assert readiness.not_ready_reason(packet(packets, motors=None))
+        assert not readiness.is_unknown
+    assert readiness.not_ready_reason(packet(packets)) == ""
+    for is_unknown in (False, False, False, True, True):
+        assert readiness.is_unknown == is_unknown
+        readiness.not_ready_reason(packet(packets, motors=None))
+    readiness.begin()
+    assert not readiness.is_unknown
 
 
 def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Follower) -> None:
